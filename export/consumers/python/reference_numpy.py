@@ -1,0 +1,147 @@
+"""A neural material answered from its checkpoint alone: numpy, 64-bit floats, no neumip code.
+
+    from reference_numpy import evaluate
+    rgb = evaluate("model.safetensors", u, wi, wo, level)
+
+u, wi, wo are [N, 2], level is [N]; the answer is [N, 3]. Four quantities are computed in 32-bit floats because small
+differences in them grow (the highest bands turn a rounding of p into 2^k pi times as much, and z near the horizon is a
+root of a difference): the wrapped u, p = 2 u - 1, x^2 + y^2 and z. Everything else is exact to 64 bits, so what a
+renderer's 32-bit floats cost shows as the difference.
+"""
+
+import json
+import struct
+
+import numpy as np
+
+YUV_TO_RGB = np.array([[1.0, 0.0, 1.13983], [1.0, -0.39465, -0.5806], [1.0, 2.03211, 0.0]])
+
+
+def read_safetensors(path):
+    """The metadata (a dict of strings) and the tensors (a dict of arrays) of a file of f32 tensors."""
+    with open(path, "rb") as file:
+        data = file.read()
+    (length,) = struct.unpack("<Q", data[:8])
+    header = json.loads(data[8 : 8 + length])
+    metadata = header.pop("__metadata__", {})
+    body = data[8 + length :]
+    tensors = {}
+    for name, entry in header.items():
+        assert entry["dtype"] == "F32", name
+        begin, end = entry["data_offsets"]
+        tensors[name] = np.frombuffer(body[begin:end], "<f4").reshape(entry["shape"])
+    return metadata, tensors
+
+
+class Material:
+    """A checkpoint in memory."""
+
+    def __init__(self, path):
+        metadata, tensors = read_safetensors(path)
+        self.header = json.loads(metadata["neumip"])
+        if self.header["format"] != 1:
+            raise ValueError(f"{path}: format {self.header['format']} is not known")
+        self.model = self.header["architecture"]["model"]
+        self.resolution = self.header["architecture"]["resolution"]
+        self.tensors = {name: tensor.astype(np.float64) for name, tensor in tensors.items()}
+        self.levels = sum(name.startswith("texture.level") for name in tensors)
+
+    def evaluate(self, u, wi, wo, level):
+        """Answers queries: [N, 2], [N, 2], [N, 2], [N] -> [N, 3]."""
+        u, wi, wo, level = (np.asarray(a, np.float32) for a in (u, wi, wo, level))
+        u = u - np.floor(u)
+        level = np.clip(level.astype(np.float64), 0, self.levels - 1)
+        (wi, wi_z, wi_up), (wo, wo_z, wo_up) = direction(wi), direction(wo)
+
+        shifted = u.astype(np.float64)
+        offset = self.model["parallax"]
+        if offset["kind"] == "offset":
+            texture = bilinear(self.tensors["offset.texture"], shifted)
+            depth = self.network("offset.mlp", np.concatenate([texture, wo], 1)) * offset["scale"]
+            shifted = shifted + 0.5 * depth * wo / np.maximum(wo_z, offset["min_z"])
+
+        features = self.features(shifted, level)
+        y = self.network("decoder.mlp", np.concatenate([features, *self.encode(u, wi, wi_z, wo, wo_z, level)], 1))
+        rgb = self.colour(y)
+        return np.where(wi_up & wo_up, np.maximum(rgb, 0), 0)
+
+    def features(self, u, level):
+        """Trilinear lookup of the pyramid."""
+        fine = np.floor(level).astype(int)
+        coarse = np.minimum(fine + 1, self.levels - 1)
+        each = np.stack([bilinear(self.tensors[f"texture.level{i}"], u) for i in range(self.levels)])
+        rows = np.arange(len(u))
+        fraction = (level - fine)[:, None]
+        return (1 - fraction) * each[fine, rows] + fraction * each[coarse, rows]
+
+    def encode(self, u, wi, wi_z, wo, wo_z, level):
+        """gamma(u), gamma(wi), gamma(wo)."""
+        config = self.model["encoding"]
+        base = np.pi if config["pi"] else 1.0
+        p = (np.float32(2) * u - np.float32(1)).astype(np.float64)
+        height, width = self.resolution
+        bands = config["u"]["bands"]
+        if config["u"]["limit_to_resolution"]:
+            bands = min(bands, max(height, width).bit_length())
+        footprint = 2.0 ** level[:, None] * 2 / np.array([width, height]) / np.sqrt(12)
+        parts = []
+        for k in range(bands):
+            damping = np.exp(-((2.0**k * base * footprint) ** 2) / 2) if config["u"]["attenuate"] else 1.0
+            parts += [np.sin(2.0**k * base * p) * damping, np.cos(2.0**k * base * p) * damping]
+        if config["u"]["raw"]:
+            parts.append(p)
+        for name, w, z in (("wi", wi, wi_z), ("wo", wo, wo_z)):
+            w = np.concatenate([w, z], 1) if config["components"] == 3 else w
+            for k in range(config[name]["bands"]):
+                amplitude = config[name]["amplitude"]
+                parts += [np.sin(2.0**k * base * w) * amplitude, np.cos(2.0**k * base * w) * amplitude]
+            if config[name]["raw"]:
+                parts.append(w)
+        return parts
+
+    def network(self, prefix, x):
+        """relu(x W^T + b) layer by layer, the last one linear."""
+        layers = sum(name.startswith(prefix) and name.endswith("weight") for name in self.tensors)
+        for layer in range(layers):
+            x = x @ self.tensors[f"{prefix}.{layer}.weight"].T + self.tensors[f"{prefix}.{layer}.bias"]
+            x = np.maximum(x, 0) if layer + 1 < layers else x
+        return x
+
+    def colour(self, y):
+        """RGB from the decoder's outputs, before the clamp."""
+        output = self.model["output"]
+        rgb = y[:, :3]
+        if output["space"] == "yuv":
+            rgb = rgb @ YUV_TO_RGB.T
+        if output["transform"] == "exp-minus-one":
+            rgb = np.expm1(rgb)
+        if output["mask"]:
+            rgb = rgb * (0.1 + 1 / (1 + np.exp(-y[:, 3:6])))
+        return rgb
+
+
+def direction(w):
+    """(x, y), z and whether it is above the horizon; length and z in 32-bit floats."""
+    square = w[:, :1] * w[:, :1] + w[:, 1:] * w[:, 1:]
+    z = np.sqrt(np.maximum(np.float32(1) - square, np.float32(0)))
+    return w.astype(np.float64), z.astype(np.float64), square < 1
+
+
+def bilinear(texture, u):
+    """Bilinear lookup with repetition: [H, W, C], [N, 2] -> [N, C]."""
+    height, width, _ = texture.shape
+    x, y = u[:, 0] * width - 0.5, u[:, 1] * height - 0.5
+    column, row = np.floor(x).astype(int), np.floor(y).astype(int)
+    fx, fy = (x - column)[:, None], (y - row)[:, None]
+
+    def at(i, j):
+        return texture[i % height, j % width]
+
+    top = (1 - fx) * at(row, column) + fx * at(row, column + 1)
+    bottom = (1 - fx) * at(row + 1, column) + fx * at(row + 1, column + 1)
+    return (1 - fy) * top + fy * bottom
+
+
+def evaluate(path, u, wi, wo, level):
+    """Answers queries with the checkpoint at `path`: [N, 2], [N, 2], [N, 2], [N] -> [N, 3]."""
+    return Material(path).evaluate(u, wi, wo, level)

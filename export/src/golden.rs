@@ -1,0 +1,56 @@
+//! Golden answers: queries and the RGB that every reader of a bundle has to reproduce.
+
+use crate::error::{Error, Result};
+use serde::{Deserialize, Serialize};
+
+/// Queries and answers, entry by entry, and how far an answer may be off: |difference| <= tolerance (1 + |rgb|).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Golden {
+    /// Largest |difference| / (1 + |rgb|).
+    pub tolerance: f64,
+    /// Positions.
+    pub u: Vec<[f32; 2]>,
+    /// Light directions.
+    pub wi: Vec<[f32; 2]>,
+    /// View directions.
+    pub wo: Vec<[f32; 2]>,
+    /// Levels.
+    pub level: Vec<f32>,
+    /// Answers.
+    pub rgb: Vec<[f32; 3]>,
+}
+
+impl Golden {
+    /// Checks lengths, and that every value is finite.
+    ///
+    /// # Errors
+    /// `Config`, naming the field.
+    pub fn validate(&self) -> Result<()> {
+        if !(self.tolerance.is_finite() && self.tolerance > 0.0) {
+            return Err(Error::config("golden.tolerance", format!("{} must be positive", self.tolerance)));
+        }
+        let n = self.u.len();
+        if n == 0 {
+            return Err(Error::config("golden.u", "is empty"));
+        }
+        check("u", &self.u, n)?;
+        check("wi", &self.wi, n)?;
+        check("wo", &self.wo, n)?;
+        check("level", self.level.as_chunks::<1>().0, n)?;
+        check("rgb", &self.rgb, n)
+    }
+}
+
+fn check<const C: usize>(field: &str, rows: &[[f32; C]], n: usize) -> Result<()> {
+    if rows.len() != n {
+        return Err(Error::config(
+            format!("golden.{field}"),
+            format!("has {} entries where u has {n}", rows.len()),
+        ));
+    }
+    match rows.iter().position(|row| row.iter().any(|v| !v.is_finite())) {
+        Some(i) => Err(Error::config(format!("golden.{field}[{i}]"), "is not finite")),
+        None => Ok(()),
+    }
+}

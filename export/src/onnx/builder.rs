@@ -1,0 +1,227 @@
+//! A graph under construction: nodes in order, constants, and names that say what a value is.
+
+use super::proto::{self, Extent};
+use std::collections::BTreeMap;
+
+/// A value of the graph: an input, a constant or a node's output.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Value(String);
+
+/// Nodes and constants so far. Node and value names start with the scope, as `parallax/mlp.0`.
+pub struct Builder {
+    graph: proto::Graph,
+    scope: String,
+    taken: BTreeMap<String, usize>,
+}
+
+impl Builder {
+    /// An empty graph.
+    pub fn new(name: &str, doc: &str) -> Self {
+        let graph = proto::Graph { name: name.into(), doc_string: doc.into(), ..Default::default() };
+        Self { graph, scope: String::new(), taken: BTreeMap::new() }
+    }
+
+    /// Names what follows `scope/...`.
+    pub fn scope(&mut self, scope: &str) {
+        self.scope = scope.into();
+    }
+
+    /// Declares an input \[N, columns...\].
+    pub fn input(&mut self, name: &str, columns: &[usize], doc: &str) -> Value {
+        self.graph.input.push(port(name, columns, doc));
+        Value(name.into())
+    }
+
+    /// Declares `value` as the output `name` \[N, columns...\].
+    pub fn output(&mut self, name: &str, columns: &[usize], doc: &str, value: &Value) {
+        self.graph.output.push(port(name, columns, doc));
+        self.push("Identity", name.into(), &[value], vec![name.into()], &[]);
+    }
+
+    /// A constant of floats, named as given.
+    pub fn floats(&mut self, name: &str, shape: &[usize], data: &[f32]) -> Value {
+        let raw = data.iter().flat_map(|v| v.to_le_bytes()).collect();
+        self.constant(name, proto::FLOAT, shape, raw)
+    }
+
+    /// A constant of 32-bit integers, named as given.
+    pub fn int32s(&mut self, name: &str, shape: &[usize], data: &[i32]) -> Value {
+        let raw = data.iter().flat_map(|v| v.to_le_bytes()).collect();
+        self.constant(name, proto::INT32, shape, raw)
+    }
+
+    /// A float scalar; equal ones are stored once.
+    pub fn scalar(&mut self, value: f32) -> Value {
+        self.floats(&format!("scalar {value}"), &[], &[value])
+    }
+
+    /// A 32-bit integer scalar; equal ones are stored once.
+    pub fn int32(&mut self, value: i32) -> Value {
+        self.int32s(&format!("int {value}"), &[], &[value])
+    }
+
+    /// The 64-bit axes or sizes that some operators take as an input; equal ones are stored once.
+    pub fn axes(&mut self, axes: &[i64]) -> Value {
+        let raw = axes.iter().flat_map(|v| v.to_le_bytes()).collect();
+        self.constant(&format!("axes {axes:?}"), proto::INT64, &[axes.len()], raw)
+    }
+
+    fn constant(&mut self, name: &str, data_type: i32, shape: &[usize], raw_data: Vec<u8>) -> Value {
+        if !self.graph.initializer.iter().any(|t| t.name == name) {
+            let dims = shape.iter().map(|&side| side as i64).collect();
+            self.graph.initializer.push(proto::Tensor { dims, data_type, name: name.into(), raw_data });
+        }
+        Value(name.into())
+    }
+
+    /// A node with one output, called `scope/name` (with a number where that is taken).
+    pub fn node(&mut self, op: &str, name: &str, inputs: &[&Value], attributes: &[(&str, i64)]) -> Value {
+        let name = self.unique(name);
+        self.push(op, name.clone(), inputs, vec![name.clone()], attributes);
+        Value(name)
+    }
+
+    /// Columns `..first` and `first..first + second` of a matrix.
+    pub fn split(&mut self, name: &str, value: &Value, first: usize, second: usize) -> (Value, Value) {
+        let sizes = self.axes(&[first as i64, second as i64]);
+        let name = self.unique(name);
+        let outputs = [format!("{name}.0"), format!("{name}.1")];
+        self.push("Split", name, &[value, &sizes], outputs.to_vec(), &[("axis", 1)]);
+        let [a, b] = outputs;
+        (Value(a), Value(b))
+    }
+
+    fn push(
+        &mut self,
+        op: &str,
+        name: String,
+        inputs: &[&Value],
+        output: Vec<String>,
+        attributes: &[(&str, i64)],
+    ) {
+        self.graph.node.push(proto::Node {
+            input: inputs.iter().map(|v| v.0.clone()).collect(),
+            output,
+            name,
+            op_type: op.into(),
+            attribute: attributes
+                .iter()
+                .map(|&(name, i)| proto::Attribute {
+                    name: name.into(),
+                    i: Some(i),
+                    r#type: proto::ATTRIBUTE_INT,
+                })
+                .collect(),
+        });
+    }
+
+    fn unique(&mut self, name: &str) -> String {
+        let full = if self.scope.is_empty() { name.into() } else { format!("{}/{name}", self.scope) };
+        let count = self.taken.entry(full.clone()).or_insert(0);
+        *count += 1;
+        if *count == 1 { full } else { format!("{full}~{count}") }
+    }
+
+    /// The graph's message.
+    pub fn finish(self) -> proto::Graph {
+        self.graph
+    }
+
+    /// a + b.
+    pub fn add(&mut self, name: &str, a: &Value, b: &Value) -> Value {
+        self.node("Add", name, &[a, b], &[])
+    }
+
+    /// a - b.
+    pub fn sub(&mut self, name: &str, a: &Value, b: &Value) -> Value {
+        self.node("Sub", name, &[a, b], &[])
+    }
+
+    /// a * b.
+    pub fn mul(&mut self, name: &str, a: &Value, b: &Value) -> Value {
+        self.node("Mul", name, &[a, b], &[])
+    }
+
+    /// a * factor.
+    pub fn scale(&mut self, name: &str, a: &Value, factor: f32) -> Value {
+        let factor = self.scalar(factor);
+        self.mul(name, a, &factor)
+    }
+
+    /// 1 - a.
+    pub fn one_minus(&mut self, name: &str, a: &Value) -> Value {
+        let one = self.scalar(1.0);
+        self.sub(name, &one, a)
+    }
+
+    /// floor(a).
+    pub fn floor(&mut self, name: &str, a: &Value) -> Value {
+        self.node("Floor", name, &[a], &[])
+    }
+
+    /// a - floor(a / period) * period.
+    pub fn wrap(&mut self, name: &str, a: &Value, period: &Value) -> Value {
+        let ratio = self.node("Div", &format!("{name}.ratio"), &[a, period], &[]);
+        let turns = self.floor(&format!("{name}.turns"), &ratio);
+        let whole = self.mul(&format!("{name}.whole"), &turns, period);
+        self.sub(name, a, &whole)
+    }
+
+    /// a, no less than low.
+    pub fn at_least(&mut self, name: &str, a: &Value, low: f32) -> Value {
+        let low = self.scalar(low);
+        self.node("Clip", name, &[a, &low], &[])
+    }
+
+    /// a within \[low, high\].
+    pub fn clip(&mut self, name: &str, a: &Value, low: f32, high: f32) -> Value {
+        let (low, high) = (self.scalar(low), self.scalar(high));
+        self.node("Clip", name, &[a, &low, &high], &[])
+    }
+
+    /// Joins along an axis; one part is passed through.
+    pub fn concat(&mut self, name: &str, parts: &[&Value], axis: i64) -> Value {
+        match parts {
+            [one] => (*one).clone(),
+            _ => self.node("Concat", name, parts, &[("axis", axis)]),
+        }
+    }
+
+    /// Inserts axes of extent 1.
+    pub fn unsqueeze(&mut self, name: &str, a: &Value, axes: &[i64]) -> Value {
+        let axes = self.axes(axes);
+        self.node("Unsqueeze", name, &[a, &axes], &[])
+    }
+
+    /// Row sums \[N, 1\] of a matrix.
+    pub fn row_sum(&mut self, name: &str, a: &Value) -> Value {
+        let axes = self.axes(&[1]);
+        self.node("ReduceSum", name, &[a, &axes], &[("keepdims", 1)])
+    }
+
+    /// The integer part as 32-bit integers.
+    pub fn to_int32(&mut self, name: &str, a: &Value) -> Value {
+        self.node("Cast", name, &[a], &[("to", i64::from(proto::INT32))])
+    }
+
+    /// Rows of a table.
+    pub fn gather(&mut self, name: &str, table: &Value, rows: &Value) -> Value {
+        self.node("Gather", name, &[table, rows], &[("axis", 0)])
+    }
+}
+
+fn port(name: &str, columns: &[usize], doc: &str) -> proto::ValueInfo {
+    let batch = Extent::Named("N".into());
+    let extents = std::iter::once(batch).chain(columns.iter().map(|&c| Extent::Fixed(c as i64)));
+    let dim = extents.map(|extent| proto::Dimension { extent: Some(extent) }).collect();
+    proto::ValueInfo {
+        name: name.into(),
+        r#type: Some(proto::Type {
+            tensor_type: Some(proto::TensorType {
+                elem_type: proto::FLOAT,
+                shape: Some(proto::Shape { dim }),
+            }),
+        }),
+        doc_string: doc.into(),
+    }
+}

@@ -1,0 +1,187 @@
+//! ONNX graphs of a checkpoint: `decoder.onnx` (the caller looks the textures up) and `material.onnx` (everything).
+//!
+//! Opset 17 and IR version 8: the widest target, and the same nodes are valid from opset 13 on. The batch N is dynamic.
+//! Every input is read even where the answer does not depend on it, so that callers can always feed all of them.
+
+mod builder;
+mod encoding;
+mod network;
+#[allow(missing_docs)] // The fields are those of onnx.proto.
+mod proto;
+mod query;
+mod texture;
+
+use crate::checkpoint::Checkpoint;
+use crate::config::{ParallaxConfig, texture_name};
+use crate::error::{Error, Result};
+use builder::{Builder, Value};
+use prost::Message;
+use query::Direction;
+
+/// Operator set of the graphs.
+pub const OPSET: i64 = 17;
+/// Version of the ONNX file format.
+pub const IR_VERSION: i64 = 8;
+/// Largest message that protobuf readers accept.
+const MAX_BYTES: usize = i32::MAX as usize;
+
+/// An input or output \[N, columns...\] of 32-bit floats.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Port {
+    /// Name.
+    pub name: &'static str,
+    /// Extents after the batch.
+    pub columns: Vec<usize>,
+    /// What it is.
+    pub meaning: &'static str,
+}
+
+/// Inputs of `material.onnx`, in order.
+pub fn material_inputs() -> Vec<Port> {
+    let port = |name, columns: &[usize], meaning| Port { name, columns: columns.into(), meaning };
+    vec![
+        port("u", &[2], "position in tiles, wrapped by the graph"),
+        port("wi", &[2], "x and y of the unit vector to the light"),
+        port("wo", &[2], "x and y of the unit vector to the viewer"),
+        port("level", &[], "log2 of the footprint in texels of the finest level, clamped by the graph"),
+    ]
+}
+
+/// Inputs of `decoder.onnx`, in order: features with `channels` columns, then those of `material.onnx`.
+pub fn decoder_inputs(channels: usize) -> Vec<Port> {
+    let meaning = "texture pyramid at the position after parallax, trilinear";
+    let mut inputs = vec![Port { name: "features", columns: vec![channels], meaning }];
+    inputs.extend(material_inputs());
+    inputs
+}
+
+/// The output of both graphs.
+pub fn output() -> Port {
+    Port { name: "rgb", columns: vec![3], meaning: "linear RGB, 0 on and below the horizon" }
+}
+
+/// `decoder.onnx`: features, u, wi, wo, level -> rgb.
+///
+/// # Errors
+/// `Config`, naming the tensor or field of an invalid checkpoint.
+pub fn decoder_graph(checkpoint: &Checkpoint) -> Result<Vec<u8>> {
+    checkpoint.validate()?;
+    let mut b = Builder::new("decoder", "neural material: decoder and its input encoding");
+    let inputs = declare(&mut b, &decoder_inputs(checkpoint.header.architecture.model.texture.channels));
+    let [features, u, wi, wo, level] = inputs.as_slice() else { unreachable!("five ports are declared") };
+    let wi = Direction::new(&mut b, "wi", wi.clone());
+    let wo = Direction::new(&mut b, "wo", wo.clone());
+    let query = Query { u: query::wrapped(&mut b, u), level: column(&mut b, checkpoint, level), wi, wo };
+    let u_is_read = checkpoint.header.architecture.u_inputs() > 0;
+    answer(b, checkpoint, &query, features, (u_is_read, false))
+}
+
+/// `material.onnx`: u, wi, wo, level -> rgb.
+///
+/// # Errors
+/// `Config`, naming the tensor or field of an invalid checkpoint, or saying that the textures exceed what an ONNX file
+/// can hold (2 GiB).
+pub fn material_graph(checkpoint: &Checkpoint) -> Result<Vec<u8>> {
+    checkpoint.validate()?;
+    let architecture = &checkpoint.header.architecture;
+    if architecture.bytes() > MAX_BYTES {
+        return Err(too_large(architecture.bytes()));
+    }
+    let mut b = Builder::new("material", "neural material: parallax, texture pyramid and decoder");
+    let inputs = declare(&mut b, &material_inputs());
+    let [u, wi, wo, level] = inputs.as_slice() else { unreachable!("four ports are declared") };
+    let wi = Direction::new(&mut b, "wi", wi.clone());
+    let wo = Direction::new(&mut b, "wo", wo.clone());
+    let query = Query { u: query::wrapped(&mut b, u), level: column(&mut b, checkpoint, level), wi, wo };
+    let shifted = match &architecture.model.parallax {
+        ParallaxConfig::None {} => query.u.clone(),
+        ParallaxConfig::Offset(offset) => network::parallax(&mut b, checkpoint, offset, &query.u, &query.wo)?,
+    };
+    b.scope("texture");
+    let sizes = architecture.level_sizes();
+    let mut texels = Vec::with_capacity(architecture.pyramid_texels() * architecture.model.texture.channels);
+    for level in 0..sizes.len() {
+        texels.extend_from_slice(&checkpoint.tensor(&texture_name(level))?.data);
+    }
+    let shape = [architecture.pyramid_texels(), architecture.model.texture.channels];
+    let table = b.floats("texture.pyramid", &shape, &texels);
+    drop(texels);
+    let features = texture::lookup(&mut b, &shifted, &query.level, &table, &sizes);
+    answer(b, checkpoint, &query, &features, (true, sizes.len() > 1))
+}
+
+/// The inputs that both graphs share, ready for use.
+struct Query {
+    u: Value,
+    level: Value,
+    wi: Direction,
+    wo: Direction,
+}
+
+fn declare(b: &mut Builder, ports: &[Port]) -> Vec<Value> {
+    ports.iter().map(|port| b.input(port.name, &port.columns, port.meaning)).collect()
+}
+
+fn column(b: &mut Builder, checkpoint: &Checkpoint, level: &Value) -> Value {
+    query::clamped(b, level, checkpoint.header.architecture.levels())
+}
+
+/// From features to the model's bytes; `read` says whether u and the level were read on the way to here.
+fn answer(
+    mut b: Builder,
+    checkpoint: &Checkpoint,
+    query: &Query,
+    features: &Value,
+    read: (bool, bool),
+) -> Result<Vec<u8>> {
+    let architecture = &checkpoint.header.architecture;
+    let channels = architecture.model.texture.channels;
+    let encoded = encoding::encode(&mut b, architecture, &query.u, &query.wi, &query.wo, &query.level);
+    let mut columns: Vec<encoding::Column> = (0..channels).map(|c| Some((c, 1.0))).collect();
+    columns.extend(encoded.columns.iter().map(|c| c.map(|(input, f)| (channels + input, f))));
+    let parts: Vec<&Value> = std::iter::once(features).chain(&encoded.parts).collect();
+    let mut outputs = network::decode(&mut b, checkpoint, &parts, &columns)?;
+    for (name, value, is_read) in
+        [("u", &query.u, read.0), ("level", &query.level, read.1 || encoded.uses_level)]
+    {
+        if !is_read {
+            let nothing = query::nothing_of(&mut b, name, value);
+            outputs = b.add(&format!("{name}.read"), &outputs, &nothing);
+        }
+    }
+    let shown = network::rgb(&mut b, checkpoint, outputs, &query.wi, &query.wo);
+    let port = output();
+    b.output(port.name, &port.columns, port.meaning, &shown);
+    finish(b, checkpoint)
+}
+
+fn finish(b: Builder, checkpoint: &Checkpoint) -> Result<Vec<u8>> {
+    let header = &checkpoint.header;
+    let json = |value: serde_json::Result<String>| value.map_err(|e| Error::config("header", e));
+    let properties = [
+        ("neumip.format", header.format.to_string()),
+        ("neumip.material", header.material.clone()),
+        ("neumip.measure", json(serde_json::to_string(&header.measure))?),
+        ("neumip.height_range", json(serde_json::to_string(&header.height_range))?),
+        ("neumip.architecture", json(serde_json::to_string(&header.architecture))?),
+    ];
+    let model = proto::Model {
+        ir_version: IR_VERSION,
+        producer_name: "neumip".into(),
+        producer_version: env!("CARGO_PKG_VERSION").into(),
+        graph: Some(b.finish()),
+        opset_import: vec![proto::OperatorSet { domain: String::new(), version: OPSET }],
+        metadata_props: properties
+            .into_iter()
+            .map(|(key, value)| proto::Property { key: key.into(), value })
+            .collect(),
+    };
+    match model.encoded_len() {
+        bytes if bytes > MAX_BYTES => Err(too_large(bytes)),
+        _ => Ok(model.encode_to_vec()),
+    }
+}
+
+fn too_large(bytes: usize) -> Error {
+    Error::config("resolution", format!("a graph of {bytes} bytes; an ONNX file holds {MAX_BYTES}"))
+}

@@ -1,0 +1,266 @@
+//! `material.json`: what a bundle holds and how to evaluate it, in words and numbers.
+
+use crate::bundle::BundleFile;
+use crate::checkpoint::{Checkpoint, Header, Measure};
+use crate::config::{
+    Architecture, DirectionEncoding, OFFSET_TEXTURE, OutputSpace, OutputTransform, ParallaxConfig,
+};
+use crate::error::{Error, Result};
+use crate::onnx::{self, Port};
+use crate::textures::TextureFile;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::path::{Component, Path};
+
+/// Version of the bundle format.
+pub const FORMAT: u32 = 1;
+
+/// The content of `material.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sidecar {
+    /// Version of the bundle format: [`FORMAT`].
+    pub format: u32,
+    /// The material's name.
+    pub material: String,
+    /// What RGB is.
+    pub measure: Measure,
+    /// Lowest and highest height of the surface around the plane z = 0, in tile widths.
+    pub height_range: [f32; 2],
+    /// Texels of the tile, \[height, width\].
+    pub resolution: [usize; 2],
+    /// Number of levels; queries are clamped to 0 .. levels - 1.
+    pub levels: usize,
+    /// What the material costs.
+    pub cost: Cost,
+    /// The error table.
+    pub errors: serde_json::Value,
+    /// The conventions, in words.
+    pub conventions: Vec<String>,
+    /// How a query is answered, step by step.
+    pub evaluate: Vec<String>,
+    /// The ONNX graphs.
+    pub graphs: Vec<GraphFile>,
+    /// The texture files.
+    pub textures: Vec<TextureFile>,
+    /// The model's configuration and resolution.
+    pub architecture: Architecture,
+    /// Every other file of the bundle.
+    pub files: Vec<BundleFile>,
+}
+
+/// Size and work of a material.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Cost {
+    /// Floating-point operations of the networks, a query.
+    pub flops_per_query: usize,
+    /// Weights and biases of the networks.
+    pub network_weights: usize,
+    /// Texels times channels of all textures.
+    pub texture_values: usize,
+    /// Bytes of both as 32-bit floats.
+    pub bytes: usize,
+}
+
+/// An ONNX graph's interface.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GraphFile {
+    /// File name.
+    pub file: String,
+    /// Operator set.
+    pub opset: i64,
+    /// Inputs, in order.
+    pub inputs: Vec<GraphPort>,
+    /// Outputs.
+    pub outputs: Vec<GraphPort>,
+}
+
+/// An input or output of 32-bit floats.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GraphPort {
+    /// Name.
+    pub name: String,
+    /// Extents; `N` is the batch.
+    pub shape: Vec<String>,
+    /// What it is.
+    pub meaning: String,
+}
+
+impl From<Port> for GraphPort {
+    fn from(port: Port) -> Self {
+        let shape = std::iter::once("N".into()).chain(port.columns.iter().map(usize::to_string)).collect();
+        Self { name: port.name.into(), shape, meaning: port.meaning.into() }
+    }
+}
+
+impl Sidecar {
+    /// Describes a checkpoint and the files that were made from it.
+    pub fn new(checkpoint: &Checkpoint, textures: Vec<TextureFile>, files: Vec<BundleFile>) -> Self {
+        let Header { architecture, .. } = &checkpoint.header;
+        let graph = |file: &str, inputs: Vec<Port>| GraphFile {
+            file: file.into(),
+            opset: onnx::OPSET,
+            inputs: inputs.into_iter().map(GraphPort::from).collect(),
+            outputs: vec![onnx::output().into()],
+        };
+        Self {
+            format: FORMAT,
+            material: checkpoint.header.material.clone(),
+            measure: checkpoint.header.measure,
+            height_range: checkpoint.header.height_range,
+            resolution: architecture.resolution,
+            levels: architecture.levels(),
+            cost: Cost {
+                flops_per_query: architecture.flops_per_query(),
+                network_weights: architecture.network_weights(),
+                texture_values: architecture.texture_values(),
+                bytes: architecture.bytes(),
+            },
+            errors: checkpoint.header.errors.clone(),
+            conventions: conventions(checkpoint.header.measure),
+            evaluate: steps(architecture),
+            graphs: vec![
+                graph("decoder.onnx", onnx::decoder_inputs(architecture.model.texture.channels)),
+                graph("material.onnx", onnx::material_inputs()),
+            ],
+            textures,
+            architecture: architecture.clone(),
+            files,
+        }
+    }
+
+    /// Parses `material.json`, checks its version and that every file is named once, plainly.
+    ///
+    /// # Errors
+    /// `Config`, naming the field.
+    pub fn from_json(json: &[u8]) -> Result<Self> {
+        #[derive(Deserialize)]
+        struct Version {
+            format: u32,
+        }
+        let broken = |e: serde_json::Error| Error::config("bundle", e);
+        let Version { format } = serde_json::from_slice(json).map_err(broken)?;
+        if format != FORMAT {
+            return Err(Error::config("format", format!("version {format}; this program reads {FORMAT}")));
+        }
+        let sidecar: Self = serde_json::from_slice(json).map_err(broken)?;
+        sidecar.architecture.validate()?;
+        let mut names = BTreeSet::new();
+        for BundleFile { name, .. } in &sidecar.files {
+            let mut parts = Path::new(name).components();
+            let plain = matches!(parts.next(), Some(Component::Normal(_))) && parts.next().is_none();
+            if !plain || !names.insert(name.as_str()) {
+                return Err(Error::config(
+                    "files",
+                    format!("{name:?} is not the name of one file of the bundle"),
+                ));
+            }
+        }
+        let graphs = sidecar.graphs.iter().map(|g| &g.file);
+        for name in graphs.chain(sidecar.textures.iter().map(|t| &t.file)) {
+            if !names.contains(name.as_str()) {
+                return Err(Error::config("files", format!("{name:?} is described and not listed")));
+            }
+        }
+        Ok(sidecar)
+    }
+}
+
+/// The conventions of the project, for a reader who has nothing else.
+fn conventions(measure: Measure) -> Vec<String> {
+    let rgb = match measure {
+        Measure::RadianceCosine => {
+            "RGB is linear and is f cos(theta_i) averaged over the footprint: the radiance under a distant light that \
+             gives irradiance 1 on a plane facing it. Do not multiply by the cosine again."
+        }
+        Measure::Reflectance => {
+            "RGB is linear and is the bare f averaged over the footprint. Multiply by cos(theta_i) = wi.z for radiance."
+        }
+    };
+    [
+        "Local frame: x along u, y along v, z along the normal. wi points to the light, wo to the viewer, both away \
+         from the surface, unit length; they are given as (x, y), with z = sqrt(1 - x^2 - y^2).",
+        "x^2 + y^2 >= 1 means on or below the horizon: the answer is 0.",
+        "u is where the view ray meets the plane z = 0. The tile is [0, 1) x [0, 1) and repeats; texel (row i, column j) \
+         has its centre at ((j + 0.5) / width, (i + 0.5) / height).",
+        "level is log2 of the footprint's size in texels of the finest level; levels are continuous.",
+        rgb,
+    ]
+    .map(String::from)
+    .to_vec()
+}
+
+/// How a query is answered, with this material's numbers.
+fn steps(architecture: &Architecture) -> Vec<String> {
+    let model = &architecture.model;
+    let [height, width] = architecture.resolution;
+    let mut steps = vec![
+        format!("Wrap: u = u - floor(u). Clamp: level = min(max(level, 0), {}).", architecture.levels() - 1),
+        match &model.parallax {
+            ParallaxConfig::None {} => "No parallax: u' = u.".into(),
+            ParallaxConfig::Offset(offset) => format!(
+                "Parallax: u' = u + 0.5 r wo.xy / max(wo.z, {}), r = {} MLP({OFFSET_TEXTURE} at u, wo.x, wo.y); the \
+                 texture [{height}, {width}, {}] is looked up bilinearly with repetition.",
+                offset.min_z, offset.scale, offset.channels
+            ),
+        },
+        format!(
+            "Features: the {} channels of texture.level0, texture.level1, ... at u', bilinear with repetition in the two \
+             levels around `level` (level l has max(1, {height} >> l) rows and max(1, {width} >> l) columns), mixed \
+             linearly by the fraction.",
+            model.texture.channels
+        ),
+    ];
+    steps.push(encoding_step(architecture));
+    steps.push(format!(
+        "Decoder: input [features, u encoding, wi encoding, wo encoding] ({} values), layers relu(W x + b), the last one \
+         linear. Networks in order of layers: decoder.mlp.0.weight [out, in], decoder.mlp.0.bias [out], ...",
+        architecture.decoder_inputs()
+    ));
+    let mut output = String::from("Output: the first three values y.");
+    if model.output.space == OutputSpace::Yuv {
+        output += " They are Y, U, V: R = Y + 1.13983 V, G = Y - 0.39465 U - 0.5806 V, B = Y + 2.03211 U.";
+    }
+    if model.output.transform == OutputTransform::ExpMinusOne {
+        output += " Then exp(x) - 1.";
+    }
+    if model.output.mask {
+        output += " Then times 0.1 + 1 / (1 + exp(-x)) of the last three values.";
+    }
+    output += " Then max(x, 0); 0 where wi or wo is on or below the horizon.";
+    steps.push(output);
+    steps
+}
+
+fn encoding_step(architecture: &Architecture) -> String {
+    let encoding = &architecture.model.encoding;
+    let frequency = if encoding.pi { "2^k pi" } else { "2^k" };
+    let mut step = format!(
+        "Encoding: p = 2 u - 1 with the wrapped u of the query, not u'. For k = 0, 1, ...: the sines of all components \
+         times {frequency}, then the cosines. u: {} bands",
+        architecture.u_bands()
+    );
+    if encoding.u.attenuate {
+        let pi = if encoding.pi { "pi " } else { "" };
+        step += &format!(
+            ", band k of component c times exp(-(2^k {pi}s_c)^2 / 2), s_c = 2^level (2 / N_c) / sqrt(12), N = (width, height)"
+        );
+    }
+    if encoding.u.raw {
+        step += ", then p";
+    }
+    for (name, direction) in [("wi", &encoding.wi), ("wo", &encoding.wo)] {
+        let DirectionEncoding { bands, raw, amplitude } = direction;
+        step += &format!("; {name}: {bands} bands times {amplitude}");
+        if *raw {
+            step += ", then the direction";
+        }
+    }
+    step + &format!(
+        ". Directions have the components {}.",
+        if encoding.components == 3 { "x, y, z" } else { "x, y" }
+    )
+}

@@ -1,0 +1,142 @@
+//! The ONNX graphs answer as the material does.
+
+use crate::{materials, plain};
+use neumip_export::config::{DECODER_MLP, weight_name};
+use neumip_export::{Checkpoint, Golden, onnx};
+use rten::{Model, Value, ValueOrView};
+
+/// |difference| / (1 + |value|) of 32-bit graphs against 64-bit loops. Measured: at most 8e-6, most of it from texel
+/// weights (positions rounded to 2^-24 of a tile times the slope between texels) and from three doublings of an angle.
+const TOLERANCE: f64 = 2e-5;
+/// Queries a case: every kind of position, level and direction dozens of times.
+const QUERIES: usize = 1024;
+
+/// Feeds a graph by input names and returns rgb.
+fn run(graph: Vec<u8>, feeds: &[(&str, Vec<usize>, Vec<f32>)]) -> Vec<f32> {
+    let model = Model::load(graph).unwrap();
+    let inputs = feeds
+        .iter()
+        .map(|(name, shape, data)| {
+            let value = Value::from_shape(shape, data.clone()).unwrap();
+            (model.node_id(name).unwrap(), ValueOrView::Value(value))
+        })
+        .collect();
+    let output = model.node_id("rgb").unwrap();
+    let [rgb] = model.run_n(inputs, [output], None).unwrap();
+    let (shape, data) = rgb.into_shape_vec::<f32, 2>().unwrap();
+    assert_eq!(shape, [feeds[0].1[0], 3]);
+    data
+}
+
+fn feeds(queries: &Golden) -> Vec<(&'static str, Vec<usize>, Vec<f32>)> {
+    let n = queries.u.len();
+    vec![
+        ("u", vec![n, 2], queries.u.concat()),
+        ("wi", vec![n, 2], queries.wi.concat()),
+        ("wo", vec![n, 2], queries.wo.concat()),
+        ("level", vec![n], queries.level.clone()),
+    ]
+}
+
+/// Features as the decoder graph gets them, and the answers to them and to the whole query.
+fn expected(checkpoint: &Checkpoint, queries: &Golden) -> (Vec<f32>, Vec<f64>, Vec<f64>) {
+    let (mut features, mut decoder, mut material) = (vec![], vec![], vec![]);
+    for i in 0..queries.u.len() {
+        let (u, wi, wo, level) = (queries.u[i], queries.wi[i], queries.wo[i], queries.level[i]);
+        let exact = plain::features(checkpoint, u, wo, level);
+        let given: Vec<f32> = exact.iter().map(|f| *f as f32).collect();
+        let rounded: Vec<f64> = given.iter().map(|f| f64::from(*f)).collect();
+        features.extend(given);
+        decoder.extend(plain::decode(checkpoint, &rounded, u, wi, wo, level));
+        material.extend(plain::decode(checkpoint, &exact, u, wi, wo, level));
+    }
+    (features, decoder, material)
+}
+
+fn largest_difference(answers: &[f32], expected: &[f64]) -> f64 {
+    assert_eq!(answers.len(), expected.len());
+    let error = |(a, e): (&f32, &f64)| (f64::from(*a) - e).abs() / (1.0 + e.abs());
+    // total_cmp puts NaN above everything: one cannot hide.
+    answers.iter().zip(expected).map(error).max_by(f64::total_cmp).unwrap()
+}
+
+#[test]
+fn graphs_answer_like_plain_loops() {
+    for (name, model, resolution) in materials::cases() {
+        let checkpoint = materials::checkpoint(&model, resolution, 1);
+        let queries = materials::queries(&checkpoint.header.architecture, QUERIES, 2);
+        let (features, decoder, material) = expected(&checkpoint, &queries);
+        assert!(
+            material.iter().filter(|v| **v > 0.0).count() > QUERIES / 4,
+            "{name}: hardly anything to compare"
+        );
+
+        let mut with_features = vec![("features", vec![QUERIES, model.texture.channels], features)];
+        with_features.extend(feeds(&queries));
+        let answers = run(onnx::decoder_graph(&checkpoint).unwrap(), &with_features);
+        let of_decoder = largest_difference(&answers, &decoder);
+        let answers = run(onnx::material_graph(&checkpoint).unwrap(), &feeds(&queries));
+        let of_material = largest_difference(&answers, &material);
+        println!("{name}: decoder {of_decoder:.1e}, material {of_material:.1e}");
+        assert!(of_decoder < TOLERANCE && of_material < TOLERANCE, "{name}: {of_decoder:e} {of_material:e}");
+    }
+}
+
+#[test]
+fn every_tensor_matters() {
+    for (name, model, resolution) in materials::cases() {
+        let checkpoint = materials::checkpoint(&model, resolution, 1);
+        let queries = materials::queries(&checkpoint.header.architecture, QUERIES / 4, 2);
+        let answers = run(onnx::material_graph(&checkpoint).unwrap(), &feeds(&queries));
+        for tensor in checkpoint.tensors.keys() {
+            let mut perturbed = checkpoint.clone();
+            let data = &mut perturbed.tensors.get_mut(tensor).unwrap().data;
+            data.iter_mut().for_each(|v| *v += 0.03);
+            let (_, _, material) = expected(&perturbed, &queries);
+            assert!(largest_difference(&answers, &material) > TOLERANCE, "{name}: {tensor}");
+        }
+    }
+}
+
+#[test]
+fn one_perturbed_weight_exceeds_the_tolerance() {
+    for (name, model, resolution) in materials::cases() {
+        let checkpoint = materials::checkpoint(&model, resolution, 1);
+        let queries = materials::queries(&checkpoint.header.architecture, QUERIES / 4, 2);
+        let mut perturbed = checkpoint.clone();
+        let first = weight_name(DECODER_MLP, 0);
+        perturbed.tensors.get_mut(&first).unwrap().data[0] *= 1.01;
+        let answers = run(onnx::material_graph(&perturbed).unwrap(), &feeds(&queries));
+        let (_, _, material) = expected(&checkpoint, &queries);
+        assert!(largest_difference(&answers, &material) > TOLERANCE, "{name}");
+    }
+}
+
+#[test]
+fn one_query_and_every_batch_size_work() {
+    let (_, model, resolution) = materials::cases().remove(1);
+    let checkpoint = materials::checkpoint(&model, resolution, 1);
+    let graph = onnx::material_graph(&checkpoint).unwrap();
+    let all = materials::queries(&checkpoint.header.architecture, 40, 3);
+    let answers = run(graph.clone(), &feeds(&all));
+    for i in [3, 17] {
+        let one = Golden {
+            u: vec![all.u[i]],
+            wi: vec![all.wi[i]],
+            wo: vec![all.wo[i]],
+            level: vec![all.level[i]],
+            rgb: vec![],
+            tolerance: 1.0,
+        };
+        let expected: Vec<f64> = answers[3 * i..3 * i + 3].iter().map(|v| f64::from(*v)).collect();
+        assert!(largest_difference(&run(graph.clone(), &feeds(&one)), &expected) < TOLERANCE);
+    }
+}
+
+#[test]
+fn same_checkpoint_same_graph() {
+    let (_, model, resolution) = materials::cases().remove(3);
+    let checkpoint = materials::checkpoint(&model, resolution, 1);
+    assert_eq!(onnx::material_graph(&checkpoint).unwrap(), onnx::material_graph(&checkpoint).unwrap());
+    assert_eq!(onnx::decoder_graph(&checkpoint).unwrap(), onnx::decoder_graph(&checkpoint).unwrap());
+}

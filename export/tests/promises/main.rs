@@ -1,0 +1,8 @@
+//! What the export promises, a file a promise.
+
+mod bundles;
+mod checkpoints;
+mod graphs;
+mod materials;
+mod plain;
+mod textures;

@@ -1,0 +1,136 @@
+//! The material written down once more, query by query in 64-bit floats, to compare the graphs with.
+//!
+//! Small differences in four quantities grow (a rounding of p by 2^k pi, one of z near the horizon by 1 / z), so those
+//! are taken in 32-bit floats as the format has them: the wrapped u, p, x^2 + y^2 and z.
+
+use neumip_export::Checkpoint;
+use neumip_export::config::*;
+
+/// Texture features at `u` (wrapped) after parallax.
+pub fn features(checkpoint: &Checkpoint, u: [f32; 2], wo: [f32; 2], level: f32) -> Vec<f64> {
+    let architecture = &checkpoint.header.architecture;
+    let mut at = wrapped(u).map(f64::from);
+    if let ParallaxConfig::Offset(offset) = &architecture.model.parallax {
+        let mut input = bilinear(checkpoint, OFFSET_TEXTURE, at);
+        input.extend(wo.map(f64::from));
+        let depth = network(checkpoint, OFFSET_MLP, input)[0] * f64::from(offset.scale);
+        let z = f64::from(z(wo)).max(f64::from(offset.min_z));
+        at = [0, 1].map(|c| at[c] + 0.5 * depth * f64::from(wo[c]) / z);
+    }
+    let last = architecture.levels() - 1;
+    let level = f64::from(level).clamp(0.0, last as f64);
+    let fine = level.floor() as usize;
+    let fraction = level - level.floor();
+    let a = bilinear(checkpoint, &texture_name(fine), at);
+    let b = bilinear(checkpoint, &texture_name((fine + 1).min(last)), at);
+    a.iter().zip(&b).map(|(a, b)| (1.0 - fraction) * a + fraction * b).collect()
+}
+
+/// RGB from features.
+pub fn decode(
+    checkpoint: &Checkpoint,
+    features: &[f64],
+    u: [f32; 2],
+    wi: [f32; 2],
+    wo: [f32; 2],
+    level: f32,
+) -> [f64; 3] {
+    if square(wi) >= 1.0 || square(wo) >= 1.0 {
+        return [0.0; 3];
+    }
+    let mut input = features.to_vec();
+    input.extend(encoding(&checkpoint.header.architecture, u, wi, wo, level));
+    let y = network(checkpoint, DECODER_MLP, input);
+    let output = &checkpoint.header.architecture.model.output;
+    [0, 1, 2].map(|c| {
+        let mut x = match output.space {
+            OutputSpace::Rgb => y[c],
+            OutputSpace::Yuv => (0..3).map(|k| f64::from(YUV_TO_RGB[c][k]) * y[k]).sum(),
+        };
+        if output.transform == OutputTransform::ExpMinusOne {
+            x = x.exp() - 1.0;
+        }
+        if output.mask {
+            x *= 0.1 + 1.0 / (1.0 + (-y[3 + c]).exp());
+        }
+        x.max(0.0)
+    })
+}
+
+fn encoding(architecture: &Architecture, u: [f32; 2], wi: [f32; 2], wo: [f32; 2], level: f32) -> Vec<f64> {
+    let encoding = &architecture.model.encoding;
+    let base = if encoding.pi { std::f64::consts::PI } else { 1.0 };
+    let mut out = Vec::new();
+    let mut bands = |p: &[f64], count: usize, raw: bool, factor: &dyn Fn(usize, usize) -> f64| {
+        for k in 0..count {
+            let f = 2f64.powi(k as i32) * base;
+            out.extend(p.iter().enumerate().map(|(c, p)| (f * p).sin() * factor(k, c)));
+            out.extend(p.iter().enumerate().map(|(c, p)| (f * p).cos() * factor(k, c)));
+        }
+        if raw {
+            out.extend(p);
+        }
+    };
+    let p = wrapped(u).map(|u| f64::from(2.0 * u - 1.0));
+    let level = f64::from(level).clamp(0.0, (architecture.levels() - 1) as f64);
+    let attenuation = |k: usize, c: usize| {
+        let texels = [architecture.resolution[1], architecture.resolution[0]][c] as f64;
+        let deviation = level.exp2() * 2.0 / texels / 12f64.sqrt();
+        let x = 2f64.powi(k as i32) * base * deviation;
+        if encoding.u.attenuate { (-x * x / 2.0).exp() } else { 1.0 }
+    };
+    bands(&p, architecture.u_bands(), encoding.u.raw, &attenuation);
+    for (w, config) in [(wi, &encoding.wi), (wo, &encoding.wo)] {
+        let w = [w[0], w[1], z(w)].map(f64::from);
+        let amplitude = f64::from(config.amplitude);
+        bands(&w[..encoding.components], config.bands, config.raw, &|_, _| amplitude);
+    }
+    out
+}
+
+fn network(checkpoint: &Checkpoint, prefix: &str, mut x: Vec<f64>) -> Vec<f64> {
+    let mut layer = 0;
+    while let Some(weight) = checkpoint.tensors.get(&weight_name(prefix, layer)) {
+        let bias = &checkpoint.tensors[&bias_name(prefix, layer)].data;
+        if layer > 0 {
+            x.iter_mut().for_each(|v| *v = v.max(0.0));
+        }
+        let rows = weight.data.chunks(weight.shape[1]).zip(bias);
+        x = rows
+            .map(|(row, bias)| {
+                f64::from(*bias) + row.iter().zip(&x).map(|(w, x)| f64::from(*w) * x).sum::<f64>()
+            })
+            .collect();
+        layer += 1;
+    }
+    x
+}
+
+fn bilinear(checkpoint: &Checkpoint, name: &str, u: [f64; 2]) -> Vec<f64> {
+    let texture = &checkpoint.tensors[name];
+    let [height, width, channels] = texture.shape[..] else { panic!("{name} is no texture") };
+    let (x, y) = (u[0] * width as f64 - 0.5, u[1] * height as f64 - 0.5);
+    let mut out = vec![0.0; channels];
+    for (dy, dx) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+        let (fx, fy) = (x - x.floor(), y - y.floor());
+        let weight = if dx == 0 { 1.0 - fx } else { fx } * if dy == 0 { 1.0 - fy } else { fy };
+        let row = (y.floor() as i64 + dy).rem_euclid(height as i64) as usize;
+        let column = (x.floor() as i64 + dx).rem_euclid(width as i64) as usize;
+        for (c, out) in out.iter_mut().enumerate() {
+            *out += weight * f64::from(texture.data[(row * width + column) * channels + c]);
+        }
+    }
+    out
+}
+
+fn wrapped(u: [f32; 2]) -> [f32; 2] {
+    u.map(|u| u - u.floor())
+}
+
+fn square(w: [f32; 2]) -> f32 {
+    w[0] * w[0] + w[1] * w[1]
+}
+
+fn z(w: [f32; 2]) -> f32 {
+    (1.0 - square(w)).max(0.0).sqrt()
+}

@@ -1,0 +1,194 @@
+//! `neumip evaluate`.
+
+use super::console::Console;
+use crate::checkpoint;
+use crate::dataset::{Dataset, SplitName};
+use crate::error::{Error, Result};
+use crate::evaluate::{Cost, Row, TIMED_QUERIES, costs, error_table};
+use crate::model::{self, NeuralMaterial};
+use crate::query::Reflectance;
+use clap::Args;
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// Error per split and level, and time per query, of one or more trained models side by side.
+#[derive(Debug, Args)]
+#[command(after_help = "Example: neumip evaluate runs/neumip runs/improved --data data/metal --json errors.json")]
+pub struct Evaluate {
+    /// Runs' folders or checkpoints.
+    #[arg(required = true)]
+    runs: Vec<PathBuf>,
+    /// The dataset.
+    #[arg(long)]
+    data: PathBuf,
+    /// Splits, by default all but train.
+    #[arg(long, value_delimiter = ',')]
+    splits: Vec<SplitName>,
+    /// Rounds of the timing; 0 leaves it out.
+    #[arg(long, default_value_t = 5)]
+    rounds: usize,
+    /// Queries of a round.
+    #[arg(long, default_value_t = TIMED_QUERIES)]
+    queries: usize,
+    /// Device that answers.
+    #[arg(long, default_value = "cpu")]
+    device: String,
+    /// Write everything here.
+    #[arg(long)]
+    json: Option<PathBuf>,
+}
+
+/// What is said of one model.
+#[derive(Clone, Debug, Serialize)]
+pub struct Evaluation {
+    /// How it was named on the command line.
+    pub run: String,
+    /// Material that it was trained on.
+    pub material: String,
+    /// Texels, \[height, width\].
+    pub resolution: [usize; 2],
+    /// Samples presented a texel.
+    pub samples_per_texel: Option<f64>,
+    /// Weights of the networks.
+    pub weights: usize,
+    /// Multiply-adds of the networks times 2, a query.
+    pub flops: usize,
+    /// Bytes of weights and textures as f32.
+    pub bytes: usize,
+    /// What answered the queries.
+    pub engine: String,
+    /// Time on one thread.
+    pub cost: Option<Cost>,
+    /// The error table.
+    pub rows: Vec<Row>,
+}
+
+impl Evaluate {
+    /// Runs the command.
+    pub fn run(self, console: &Console) -> Result<()> {
+        let data = Dataset::open(&self.data)?;
+        let splits = if self.splits.is_empty() {
+            data.split_names().into_iter().filter(|s| *s != SplitName::Train).collect()
+        } else {
+            self.splits.clone()
+        };
+        let evaluations =
+            evaluate(&self.runs, &data, &splits, &self.device, [self.queries, self.rounds], console)?;
+        console.say(text_table(&evaluations));
+        match &self.json {
+            Some(path) => super::write_json(path, &evaluations),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Evaluates runs on one dataset; `timing` is \[queries, rounds\].
+pub fn evaluate(
+    runs: &[PathBuf],
+    data: &Dataset,
+    splits: &[SplitName],
+    device: &str,
+    timing: [usize; 2],
+    console: &Console,
+) -> Result<Vec<Evaluation>> {
+    let device = model::device(device)?;
+    let mut materials = Vec::new();
+    let mut evaluations = Vec::new();
+    for run in runs {
+        let checkpoint = checkpoint::load(run)?;
+        let architecture = &checkpoint.header.architecture;
+        if architecture.resolution != data.resolution() {
+            return Err(Error::file(
+                data.root(),
+                format!(
+                    "has {:?} texels where {} was trained on {:?}",
+                    data.resolution(),
+                    run.display(),
+                    architecture.resolution
+                ),
+            ));
+        }
+        let material = NeuralMaterial::from_checkpoint(&checkpoint, &device)?;
+        let mut meter = console.meter(format!("evaluate {}", run.display()), splits.len() as u64, "splits");
+        let mut rows = Vec::new();
+        for (done, split) in splits.iter().enumerate() {
+            meter.update(done as u64, split.as_str());
+            rows.extend(error_table(&material, data, std::slice::from_ref(split))?);
+            console.check("no table was written")?;
+        }
+        rows.extend(crate::evaluate::view_table(&material, data)?);
+        meter.finish(splits.len() as u64);
+        let samples = checkpoint.header.provenance.get("samples").and_then(serde_json::Value::as_f64);
+        let texels = (architecture.resolution[0] * architecture.resolution[1]) as f64;
+        evaluations.push(Evaluation {
+            run: run.display().to_string(),
+            material: checkpoint.header.material.clone(),
+            resolution: architecture.resolution,
+            samples_per_texel: samples.map(|s| s / texels),
+            weights: architecture.network_weights(),
+            flops: architecture.flops_per_query(),
+            bytes: architecture.bytes(),
+            engine: "candle".into(),
+            cost: None,
+            rows,
+        });
+        materials.push(material);
+    }
+    let [queries, rounds] = timing;
+    if rounds > 0 {
+        let levels = materials.first().map_or(1, |m| m.architecture().levels());
+        let answerers: Vec<&dyn Reflectance> = materials.iter().map(|m| m as &dyn Reflectance).collect();
+        for (evaluation, cost) in evaluations.iter_mut().zip(costs(&answerers, levels, queries, rounds)?) {
+            evaluation.cost = Some(cost);
+        }
+    }
+    Ok(evaluations)
+}
+
+/// The table as text: a line a split and level, `mse` x 10^3 of every run.
+fn text_table(evaluations: &[Evaluation]) -> String {
+    let mut out = String::new();
+    for (k, e) in evaluations.iter().enumerate() {
+        let cost = e.cost.map_or(String::new(), |c| {
+            format!(", {:.0} ns a query ({:.0} to {:.0}, one thread, {})", c.ns_per_query, c.ns_low, c.ns_high, e.engine)
+        });
+        let samples = e.samples_per_texel.map_or(String::new(), |s| format!(", {s:.0} samples a texel"));
+        out += &format!(
+            "[{}] {}: {} at {} x {}{samples}, {} weights, {} FLOPs, {} bytes{cost}\n",
+            k + 1,
+            e.run,
+            e.material,
+            e.resolution[0],
+            e.resolution[1],
+            e.weights,
+            e.flops,
+            e.bytes
+        );
+    }
+    out += &format!("\n{:<12} {:>5} {:>9}", "split", "level", "noise");
+    for k in 1..=evaluations.len() {
+        out += &format!(" | {:>9} {:>7} {:>6}", format!("mse[{k}]"), "psnr", "ssim");
+    }
+    let Some(first) = evaluations.first() else {
+        return out;
+    };
+    let number = |v: Option<f64>, scale: f64, digits: usize| {
+        v.map_or("-".to_string(), |v| format!("{:.digits$}", v * scale))
+    };
+    for (i, row) in first.rows.iter().enumerate() {
+        let level = row.level.map_or("all".into(), |l| l.to_string());
+        out += &format!("\n{:<12} {level:>5} {:>9}", row.split, number(row.noise, 1e3, 4));
+        for e in evaluations {
+            if let Some(r) = e.rows.get(i) {
+                out += &format!(
+                    " | {:>9.4} {:>7} {:>6}",
+                    r.errors.mse * 1e3,
+                    number(r.psnr, 1.0, 2),
+                    number(r.ssim, 1.0, 3)
+                );
+            }
+        }
+    }
+    out += "\nmse and noise x 10^3; mse of linear RGB clamped to [0, 1]";
+    out
+}

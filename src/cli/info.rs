@@ -1,0 +1,85 @@
+//! `neumip info`.
+
+use super::console::Console;
+use crate::checkpoint::RunFolder;
+use crate::dataset::{Dataset, MANIFEST};
+use crate::error::{Error, Result};
+use clap::Args;
+use neumip_export::{Checkpoint, read_bundle};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// Say what a checkpoint, run, dataset or bundle is.
+#[derive(Debug, Args)]
+#[command(after_help = "Example: neumip info runs/metal/best.safetensors")]
+pub struct Info {
+    /// A checkpoint file, or the folder of a run, dataset or bundle.
+    path: PathBuf,
+    /// Write it here as JSON too.
+    #[arg(long)]
+    json: Option<PathBuf>,
+}
+
+impl Info {
+    /// Runs the command.
+    pub fn run(self, console: &Console) -> Result<()> {
+        let value = describe(&self.path)?;
+        let text = serde_json::to_string_pretty(&value).map_err(|e| Error::file(&self.path, e))?;
+        console.say(text);
+        match &self.json {
+            Some(path) => super::write_json(path, &value),
+            None => Ok(()),
+        }
+    }
+}
+
+fn describe(path: &Path) -> Result<Value> {
+    if !path.exists() {
+        return Err(Error::file(path, "no such file or folder"));
+    }
+    if path.is_file() {
+        return Ok(checkpoint(&Checkpoint::read(path)?));
+    }
+    if path.join(MANIFEST).is_file() {
+        let data = Dataset::open(path)?;
+        return Ok(json!({ "kind": "dataset", "dataset": data.manifest() }));
+    }
+    if path.join("run.json").is_file() {
+        let (folder, record) = RunFolder::open(path)?;
+        let answering = folder.answering_checkpoint()?;
+        return Ok(json!({
+            "kind": "run",
+            "data": record.data,
+            "config": record.config,
+            "checkpoint": answering.file_name().map(|n| n.to_string_lossy()),
+            "answers": checkpoint(&Checkpoint::read(&answering)?),
+        }));
+    }
+    if path.join("material.json").is_file() && path.join("golden.json").is_file() {
+        let bundle = read_bundle(path)?;
+        return Ok(json!({ "kind": "bundle", "material": bundle.sidecar }));
+    }
+    Err(Error::file(path, "is no run, dataset or bundle: it has none of run.json, dataset.json, golden.json"))
+}
+
+fn checkpoint(checkpoint: &Checkpoint) -> Value {
+    let header = &checkpoint.header;
+    let architecture = &header.architecture;
+    json!({
+        "kind": "checkpoint",
+        "format": header.format,
+        "material": header.material,
+        "measure": header.measure,
+        "height_range": header.height_range,
+        "resolution": architecture.resolution,
+        "levels": architecture.levels(),
+        "weights": architecture.network_weights(),
+        "texture_values": architecture.texture_values(),
+        "bytes": architecture.bytes(),
+        "flops_per_query": architecture.flops_per_query(),
+        "model": architecture.model,
+        "provenance": header.provenance,
+        "errors": header.errors,
+        "tensors": checkpoint.tensors.iter().map(|(n, t)| (n.clone(), json!(t.shape))).collect::<serde_json::Map<_, _>>(),
+    })
+}

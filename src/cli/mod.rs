@@ -1,0 +1,112 @@
+//! The command line: one verb a file. Only this module prints.
+
+mod console;
+mod demo;
+mod evaluate;
+mod export;
+mod generate;
+mod info;
+mod train;
+
+use crate::error::{Error, Result};
+use clap::{Parser, Subcommand};
+use std::path::Path;
+
+/// Neural materials that other renderers can use.
+#[derive(Debug, Parser)]
+#[command(name = "neumip", version, about, max_term_width = 110)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// Threads; by default all cores.
+    #[arg(long, global = true)]
+    threads: Option<usize>,
+    /// Print nothing but errors.
+    #[arg(long, global = true)]
+    quiet: bool,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// The whole way on a built-in material in a few minutes, ending in report.html.
+    Demo(demo::Demo),
+    /// Render a dataset of a material.
+    Generate(generate::Generate),
+    /// Train a model on a dataset.
+    Train(train::Train),
+    /// Error per split and level, and time per query, of one or more trained models.
+    Evaluate(evaluate::Evaluate),
+    /// Write what another renderer needs.
+    Export(export::Export),
+    /// Say what a checkpoint, run, dataset or bundle is.
+    Info(info::Info),
+}
+
+impl Cli {
+    /// Runs the command.
+    ///
+    /// # Errors
+    /// Whatever the command meets; [`Error::exit_code`] is the process's.
+    pub fn run(self) -> Result<()> {
+        if let Some(threads) = self.threads {
+            use_threads(threads)?;
+        }
+        let console = console::Console::new(self.quiet);
+        match self.command {
+            Command::Demo(command) => command.run(&console),
+            Command::Generate(command) => command.run(&console),
+            Command::Train(command) => command.run(&console),
+            Command::Evaluate(command) => command.run(&console),
+            Command::Export(command) => command.run(&console),
+            Command::Info(command) => command.run(&console),
+        }
+    }
+}
+
+fn use_threads(threads: usize) -> Result<()> {
+    if !(1..=1024).contains(&threads) {
+        return Err(Error::usage(format!("--threads {threads}: use 1 to 1024")));
+    }
+    // SAFETY: this runs before any other thread is started, so nothing reads the environment meanwhile.
+    unsafe {
+        std::env::set_var("RAYON_NUM_THREADS", threads.to_string());
+        std::env::set_var("CANDLE_NUM_THREADS", threads.to_string());
+    }
+    Ok(())
+}
+
+/// Writes a JSON file whole.
+fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
+    let text = serde_json::to_string_pretty(value).map_err(|e| Error::file(path, e))?;
+    Ok(neumip_export::whole_file::write_whole(path, format!("{text}\n").as_bytes())?)
+}
+
+/// Bytes from a text such as `512M` or `2G`.
+fn parse_bytes(text: &str) -> std::result::Result<usize, String> {
+    let (digits, factor) = match text.chars().last().map(|c| c.to_ascii_uppercase()) {
+        Some('K') => (&text[..text.len() - 1], 1usize << 10),
+        Some('M') => (&text[..text.len() - 1], 1 << 20),
+        Some('G') => (&text[..text.len() - 1], 1 << 30),
+        _ => (text, 1),
+    };
+    let number: usize = digits.parse().map_err(|_| format!("{text} is no size such as 512M or 2G"))?;
+    number.checked_mul(factor).filter(|n| *n > 0).ok_or_else(|| format!("{text} is no size such as 512M or 2G"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        use clap::CommandFactory;
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn sizes() {
+        assert_eq!(parse_bytes("2G"), Ok(2 << 30));
+        assert_eq!(parse_bytes("17"), Ok(17));
+        assert!(parse_bytes("2X").is_err() && parse_bytes("").is_err() && parse_bytes("0").is_err());
+    }
+}

@@ -1,0 +1,343 @@
+//! `dataset.json`: what a dataset folder holds.
+//!
+//! The folder: `dataset.json`; `height.exr` (one f32 channel Y, tile widths) where heights are stored; for
+//! file 0 of split train `train-00000.exr` (half R, G, B: `grid.rs`) and `train-00000.safetensors`
+//! (`table.rs`); views as `views-NAME.exr` (`query_frame.rs`).
+
+use super::{
+    block::{MAX_LEVEL, MAX_SIDE},
+    config::{GenerateConfig, MAX_FILES},
+    frame::MAX_PIXELS,
+};
+use crate::error::{Error, Result};
+use neumip_export::Measure;
+use serde::{Deserialize, Serialize};
+use std::{collections::BTreeMap, fmt, path::Path, str::FromStr};
+
+/// Version of the format that is written and read.
+pub const FORMAT: u32 = 1;
+/// Name of the description inside the folder.
+pub const MANIFEST: &str = "dataset.json";
+/// Longest description that is read, bytes.
+const MAX_MANIFEST: u64 = 1 << 28;
+
+/// The parts of a dataset that are made of blocks. A name's place is also its stream of random numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SplitName {
+    /// What is learned from.
+    Train,
+    /// As scattered training data, held out.
+    Validation,
+    /// Whole slices under held-out directions, from texel centre to texel centre.
+    Test,
+    /// Held-out directions, positions between the texels, levels between the integers.
+    Offgrid,
+    /// Held-out directions, at least one of the two beyond 62 degrees.
+    Grazing,
+}
+
+impl SplitName {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::Train, Self::Validation, Self::Test, Self::Offgrid, Self::Grazing];
+
+    /// The name in files and flags.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Train => "train",
+            Self::Validation => "validation",
+            Self::Test => "test",
+            Self::Offgrid => "offgrid",
+            Self::Grazing => "grazing",
+        }
+    }
+}
+
+impl fmt::Display for SplitName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+impl FromStr for SplitName {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self> {
+        let found = Self::ALL.into_iter().find(|name| name.as_str() == text);
+        found.ok_or_else(|| {
+            let names: Vec<_> = Self::ALL.iter().map(|n| n.as_str()).collect();
+            Error::usage(format!("{text} is not a split; splits are {}", names.join(", ")))
+        })
+    }
+}
+
+/// Statistics of the samples of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Summary {
+    /// Mean of R, G, B.
+    pub mean: [f32; 3],
+    /// Largest value of any channel.
+    pub max: f32,
+    /// Mean variance of a sample: the squared error that a perfect model would be left with.
+    pub variance: f32,
+}
+
+/// One frame of blocks and its table.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FileInfo {
+    /// Name without the endings .exr and .safetensors: split, dash, five digits.
+    pub name: String,
+    /// Blocks in the frame.
+    pub blocks: usize,
+    /// Patches in the table.
+    pub patches: usize,
+    /// Blocks whose level rounds to 0, 1, 2 ...
+    pub level_blocks: Vec<usize>,
+    /// Length of the frame, bytes.
+    pub frame_bytes: u64,
+    /// Length of the table, bytes.
+    pub table_bytes: u64,
+    /// Its samples.
+    pub summary: Summary,
+    /// Mean over the blocks of the square root of their mean variance.
+    pub noise: f32,
+}
+
+/// How far held-out pairs of directions are from the nearest training pair, degrees. The distance of two
+/// pairs is sqrt(angle(wi, wi')^2 + angle(wo, wo')^2).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Distance {
+    /// Mean over the (first 512) held-out pairs.
+    pub mean_degrees: f32,
+    /// The nearest.
+    pub min_degrees: f32,
+}
+
+/// One split.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SplitInfo {
+    /// Samples along a side of every block.
+    pub side: usize,
+    /// Blocks once it is complete.
+    pub planned_blocks: usize,
+    /// Sub-samples of a sample; absent for measured data.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spp: Option<usize>,
+    /// Share of the stored samples whose level rounds to 0, 1, 2 ...
+    pub level_shares: Vec<f32>,
+    /// Mean over the blocks of the square root of their mean variance.
+    pub noise: f32,
+    /// For held-out splits, once there are training directions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub nearest_training: Option<Distance>,
+    /// The files, in order.
+    pub files: Vec<FileInfo>,
+}
+
+impl SplitInfo {
+    /// Blocks on disk.
+    pub fn blocks(&self) -> usize {
+        self.files.iter().map(|f| f.blocks).sum()
+    }
+
+    /// Samples on disk.
+    pub fn samples(&self) -> u64 {
+        self.blocks() as u64 * (self.side * self.side) as u64
+    }
+}
+
+/// One view: a picture as queries and answers, in the file `views-NAME.exr`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ViewInfo {
+    /// Name of the scene.
+    pub name: String,
+    /// Rows.
+    pub height: usize,
+    /// Columns.
+    pub width: usize,
+    /// Length of the file, bytes.
+    pub bytes: u64,
+    /// Its samples.
+    pub summary: Summary,
+}
+
+impl ViewInfo {
+    /// Name of the file inside the folder.
+    pub fn file(&self) -> String {
+        format!("views-{}.exr", self.name)
+    }
+}
+
+/// The height map in `height.exr`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HeightInfo {
+    /// Rows.
+    pub height: usize,
+    /// Columns.
+    pub width: usize,
+    /// Length of the file, bytes.
+    pub bytes: u64,
+}
+
+/// The whole description.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Manifest {
+    /// Version of the format.
+    pub format: u32,
+    /// Program and version that wrote it.
+    pub generator: String,
+    /// False while it is being written, and after a run was stopped.
+    pub complete: bool,
+    /// Name of the material.
+    pub material: String,
+    /// What the source says of itself.
+    pub source: serde_json::Value,
+    /// Texels of the tile, \[height, width\].
+    pub resolution: [usize; 2],
+    /// Lowest and highest point of the surface, tile widths.
+    pub height_range: [f32; 2],
+    /// What the values are.
+    pub measure: Measure,
+    /// What was generated; absent for imported data.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub generation: Option<GenerateConfig>,
+    /// The stored height map.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub heights: Option<HeightInfo>,
+    /// The splits.
+    pub splits: BTreeMap<SplitName, SplitInfo>,
+    /// The views.
+    pub views: Vec<ViewInfo>,
+}
+
+impl Manifest {
+    /// The description of a dataset that holds nothing yet.
+    pub fn new(
+        material: &str,
+        source: serde_json::Value,
+        resolution: [usize; 2],
+        height_range: [f32; 2],
+    ) -> Self {
+        Self {
+            format: FORMAT,
+            generator: format!("neumip {}", env!("CARGO_PKG_VERSION")),
+            complete: false,
+            material: material.into(),
+            source,
+            resolution,
+            height_range,
+            measure: Measure::RadianceCosine,
+            generation: None,
+            heights: None,
+            splits: BTreeMap::new(),
+            views: Vec::new(),
+        }
+    }
+
+    /// Reads and checks the description in a folder.
+    pub(crate) fn read(root: &Path) -> Result<Self> {
+        let path = root.join(MANIFEST);
+        let failed = |problem: &dyn fmt::Display| Error::file(&path, problem);
+        let bytes = match std::fs::metadata(&path) {
+            Ok(data) => data.len(),
+            Err(e) => return Err(failed(&format!("cannot be read ({e}): is this a dataset folder?"))),
+        };
+        if bytes > MAX_MANIFEST {
+            return Err(failed(&format!("has {bytes} bytes, more than any dataset needs")));
+        }
+        let text = std::fs::read(&path).map_err(|e| failed(&format!("cannot be read: {e}")))?;
+        let value: serde_json::Value =
+            serde_json::from_slice(&text).map_err(|e| failed(&format!("is not JSON: {e}")))?;
+        // The version comes first: another one may have other fields.
+        match value.get("format").and_then(serde_json::Value::as_u64) {
+            Some(version) if version == u64::from(FORMAT) => {}
+            Some(version) => {
+                return Err(failed(&format!("has format {version}; this program reads {FORMAT}")));
+            }
+            None => return Err(failed(&"has no field format: it is not a dataset")),
+        }
+        let this: Self = serde_json::from_value(value).map_err(|e| failed(&e))?;
+        this.validate().map_err(|e| failed(&e))?;
+        Ok(this)
+    }
+
+    /// The bytes of the description.
+    pub(crate) fn to_json(&self) -> Result<Vec<u8>> {
+        let mut bytes = serde_json::to_vec_pretty(self).map_err(|e| Error::config(MANIFEST, e))?;
+        bytes.push(b'\n');
+        Ok(bytes)
+    }
+
+    /// Checks every bound that later reading relies on.
+    ///
+    /// # Errors
+    /// `Config`, naming the field.
+    pub fn validate(&self) -> Result<()> {
+        fn within(field: impl fmt::Display, value: usize, low: usize, high: usize) -> Result<()> {
+            if (low..=high).contains(&value) {
+                return Ok(());
+            }
+            Err(Error::config(field.to_string(), format!("{value} is outside {low} to {high}")))
+        }
+        within("resolution[0]", self.resolution[0], 1, MAX_SIDE)?;
+        within("resolution[1]", self.resolution[1], 1, MAX_SIDE)?;
+        let [low, high] = self.height_range;
+        if !(low.is_finite() && high.is_finite() && low <= high) {
+            return Err(Error::config("height_range", format!("{low} to {high} is not a range")));
+        }
+        if let Some(generation) = &self.generation {
+            generation.validate()?;
+        }
+        if let Some(map) = &self.heights {
+            within("heights.height", map.height, 1, MAX_SIDE)?;
+            within("heights.width", map.width, 1, MAX_SIDE)?;
+        }
+        for (name, split) in &self.splits {
+            within(format_args!("splits.{name}.side"), split.side, 1, MAX_SIDE)?;
+            let samples = split.side * split.side;
+            within(format_args!("splits.{name}.files"), split.files.len(), 0, MAX_FILES)?;
+            for (k, file) in split.files.iter().enumerate() {
+                let field = format!("splits.{name}.files[{k}]");
+                if file.name != file_name(*name, k) {
+                    return Err(Error::config(
+                        field,
+                        format!("is named {}, not {}", file.name, file_name(*name, k)),
+                    ));
+                }
+                // A frame has room for unused cells, at most as many again.
+                within(format!("{field}.blocks"), file.blocks, 1, (MAX_PIXELS / 2 / samples).max(1))?;
+                within(format!("{field}.patches"), file.patches, file.blocks, file.blocks * samples)?;
+                let most = MAX_LEVEL as usize + 1;
+                within(format!("{field}.level_blocks length"), file.level_blocks.len(), 1, most)?;
+                let counted = file.level_blocks.iter().try_fold(0usize, |sum, n| sum.checked_add(*n));
+                if counted != Some(file.blocks) {
+                    return Err(Error::config(
+                        format!("{field}.level_blocks"),
+                        "does not add up to the blocks",
+                    ));
+                }
+            }
+        }
+        for view in &self.views {
+            let plain = |c: u8| c.is_ascii_lowercase() || c.is_ascii_digit() || c == b'-';
+            if view.name.is_empty() || view.name.len() > 64 || !view.name.bytes().all(plain) {
+                return Err(Error::config("views.name", "must be lower-case letters, digits and dashes"));
+            }
+            within(format_args!("views.{}.height", view.name), view.height, 1, MAX_SIDE)?;
+            within(format_args!("views.{}.width", view.name), view.width, 1, MAX_SIDE)?;
+        }
+        Ok(())
+    }
+}
+
+/// Name of the `index`-th file of a split, without its endings.
+pub(crate) fn file_name(split: SplitName, index: usize) -> String {
+    format!("{split}-{index:05}")
+}

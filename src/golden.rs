@@ -1,0 +1,61 @@
+//! Golden answers: what a material says to queries that cover its whole domain and its edges.
+
+use crate::error::Result;
+use crate::model::NeuralMaterial;
+use crate::query::{QueryBuffer, Reflectance};
+use crate::random::{Random, Stream};
+use candle_core::Device;
+use neumip_export::Golden;
+use neumip_export::checkpoint::Checkpoint;
+
+/// Largest |difference| / (1 + |value|) of a reader of the bundle: f32 networks summed in another order, on positions that
+/// an offset network moves by an ulp.
+pub const TOLERANCE: f64 = 2e-5;
+/// Queries in a bundle.
+pub const QUERIES: usize = 1024;
+
+/// `n` queries, in turn: plain, u negative or large, level below 0 or beyond the last, grazing, below the horizon.
+pub fn probes(n: usize, levels: usize, seed: u64) -> QueryBuffer {
+    let mut queries = QueryBuffer::slice(1, n, [0.0; 2], [0.0; 2], 0.0);
+    let last = levels as f32 - 1.0;
+    for k in 0..n {
+        let mut random = Random::new(seed, Stream::Probe, k as u64);
+        queries.u[k] = [random.uniform(), random.uniform()];
+        queries.wi[k] = random.disc(0.99);
+        queries.wo[k] = random.disc(0.99);
+        queries.level[k] = random.uniform() * last;
+        match k % 8 {
+            1 => queries.u[k] = queries.u[k].map(|u| 20.0 * u - 10.0),
+            2 => queries.u[k] = queries.u[k].map(|u| 2000.0 * u - 1000.0),
+            3 => queries.level[k] = (last + 3.0) * random.uniform() * if random.uniform() < 0.5 { -1.0 } else { 1.5 },
+            4 => queries.level[k] = queries.level[k].round(),
+            5 => (queries.wi[k], queries.wo[k]) = (grazing(&mut random), grazing(&mut random)),
+            6 => {
+                let below = queries.wi[k].map(|x| 2.0 * x + 0.9);
+                let place = if random.uniform() < 0.5 { &mut queries.wi[k] } else { &mut queries.wo[k] };
+                *place = below;
+            }
+            _ => {}
+        }
+    }
+    queries
+}
+
+/// A direction within a few degrees of the horizon.
+fn grazing(random: &mut Random) -> [f32; 2] {
+    let radius = 0.99 + 0.0099 * random.uniform();
+    let (sin, cos) = (std::f32::consts::TAU * random.uniform()).sin_cos();
+    [radius * cos, radius * sin]
+}
+
+/// The golden answers of a checkpoint, as candle gives them.
+///
+/// # Errors
+/// As [`NeuralMaterial::from_checkpoint`] and its answers.
+pub fn answers(checkpoint: &Checkpoint, n: usize) -> Result<Golden> {
+    let material = NeuralMaterial::from_checkpoint(checkpoint, &Device::Cpu)?;
+    let queries = probes(n, checkpoint.header.architecture.levels(), 1);
+    let rgb = material.evaluate(&queries)?.pixels;
+    let QueryBuffer { u, wi, wo, level, .. } = queries;
+    Ok(Golden { tolerance: TOLERANCE, u, wi, wo, level, rgb })
+}

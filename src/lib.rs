@@ -1,0 +1,39 @@
+//! Neural materials that other renderers can use.
+//!
+//! ```text
+//! query ─ what is asked and answered; the conventions
+//!   │
+//! reference ─ ground truth: a displaced surface, its shading, its light
+//!   │
+//! dataset ─ blocks of queries with their answers: generated, stored, streamed
+//!   │            kernels ─ loops on slices
+//!   │               │
+//! model ─ texture pyramid, neural offset, encoding, decoder (candle)     loss ─ remaps, gradient loss
+//!   │                                                                      │
+//! trainer ─ steps, validation, checkpoints, events ────────────────────────┘
+//!   │
+//! checkpoint ─ a run's folder; the file format itself is neumip-export's
+//!   │
+//! metrics, evaluate ─ errors by split and level, time per query
+//!   │
+//! report, cli, neumip-export ─ pages, commands, ONNX and textures for other renderers
+//! ```
+
+pub mod checkpoint;
+pub mod cli;
+pub mod config;
+pub mod dataset;
+pub mod error;
+pub mod evaluate;
+pub mod golden;
+pub mod kernels;
+pub mod loss;
+pub mod metrics;
+pub mod model;
+pub mod query;
+pub mod random;
+pub mod reference;
+pub mod trainer;
+
+pub use error::{Error, Result};
+pub use neumip_export as export;

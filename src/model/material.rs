@@ -1,0 +1,84 @@
+//! A trained model that answers query buffers through candle.
+
+use super::texture::{Sigmas, Tables};
+use super::{Inputs, Networks, Variables};
+use crate::error::{Error, Result};
+use crate::query::{QueryBuffer, Reflectance, RgbImage, above_horizon};
+use candle_core::Device;
+use neumip_export::checkpoint::Checkpoint;
+use neumip_export::config::Architecture;
+use rayon::prelude::*;
+
+/// Queries answered at once: every intermediate tensor stays in a core's cache, and under the size from which candle
+/// itself splits elementwise work over threads (these chunks are already spread over the cores).
+const CHUNK: usize = 1024;
+
+/// A neural material in candle.
+pub struct NeuralMaterial {
+    networks: Networks,
+    tables: Tables,
+    device: Device,
+}
+
+impl NeuralMaterial {
+    /// The material of a checkpoint.
+    ///
+    /// # Errors
+    /// `Config` if a tensor does not fit the architecture.
+    pub fn from_checkpoint(checkpoint: &Checkpoint, device: &Device) -> Result<Self> {
+        let architecture = &checkpoint.header.architecture;
+        let variables = Variables::from_stored(architecture, &checkpoint.tensors, device)?;
+        Self::new(architecture, &variables, &Sigmas::none(architecture), device)
+    }
+
+    /// The material of variables whose textures are read through a Gaussian.
+    ///
+    /// # Errors
+    /// `Config` if a variable is missing.
+    pub fn new(
+        architecture: &Architecture,
+        variables: &Variables,
+        sigmas: &Sigmas,
+        device: &Device,
+    ) -> Result<Self> {
+        let tables = Tables::new(architecture, variables, sigmas)?;
+        Ok(Self { networks: Networks::new(architecture, variables)?, tables, device: device.clone() })
+    }
+
+    /// What the material is.
+    pub fn architecture(&self) -> &Architecture {
+        &self.networks.architecture
+    }
+
+    fn answer(&self, queries: &QueryBuffer, start: usize, out: &mut [[f32; 3]]) -> Result<()> {
+        let part = start..start + out.len();
+        let (wi, wo) = (&queries.wi[part.clone()], &queries.wo[part.clone()]);
+        let (u, level) = (&queries.u[part.clone()], &queries.level[part]);
+        let inputs = Inputs::new(self.architecture(), u, wi, wo, level, &self.device)?;
+        let rgb: Vec<f32> = self.networks.forward(&inputs, &self.tables)?.detach().flatten_all()?.to_vec1()?;
+        for (k, pixel) in out.iter_mut().enumerate() {
+            if above_horizon(wi[k]) && above_horizon(wo[k]) {
+                // f32::max would hide a NaN behind 0.
+                *pixel = std::array::from_fn(|c| {
+                    let value = rgb[3 * k + c];
+                    if value < 0.0 { 0.0 } else { value }
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Reflectance for NeuralMaterial {
+    fn evaluate(&self, queries: &QueryBuffer) -> Result<RgbImage> {
+        let mut pixels = vec![[0.0f32; 3]; queries.len()];
+        pixels
+            .par_chunks_mut(CHUNK)
+            .enumerate()
+            .try_for_each(|(chunk, out)| self.answer(queries, chunk * CHUNK, out))?;
+        match pixels.iter().position(|p| !p.iter().all(|v| v.is_finite())) {
+            Some(k) => Err(Error::config(format!("query[{k}]"), "the model's answer is not finite")),
+            None => Ok(RgbImage { height: queries.height(), width: queries.width(), pixels }),
+        }
+    }
+}

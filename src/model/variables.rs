@@ -1,0 +1,101 @@
+//! The parameters of a model as named candle variables, in a fixed order.
+
+use crate::error::{Error, Result};
+use crate::random::{Random, Stream};
+use candle_core::{Device, Tensor, Var};
+use neumip_export::Tensor as StoredTensor;
+use neumip_export::config::{Architecture, OFFSET_TEXTURE};
+use std::collections::BTreeMap;
+
+/// Named variables in the order of [`Architecture::tensors`].
+pub struct Variables(Vec<(String, Var)>);
+
+impl Variables {
+    /// Fresh variables: textures N(0, init_std), offset texture 0, layers uniform in +-1/sqrt(inputs) as PyTorch's.
+    ///
+    /// # Errors
+    /// Whatever candle refuses.
+    pub fn initial(architecture: &Architecture, seed: u64, device: &Device) -> Result<Self> {
+        let mut all = Vec::new();
+        let mut fan_in = 1;
+        for (index, (name, shape)) in architecture.tensors().into_iter().enumerate() {
+            let mut random = Random::new(seed, Stream::Weights, index as u64);
+            let n: usize = shape.iter().product();
+            if shape.len() == 2 {
+                fan_in = shape[1];
+            }
+            let bound = 1.0 / (fan_in as f32).sqrt();
+            let values: Vec<f32> = match shape.len() {
+                3 if name == OFFSET_TEXTURE => vec![0.0; n],
+                3 => (0..n).map(|_| architecture.model.texture.init_std * random.normal()).collect(),
+                _ => (0..n).map(|_| bound * (2.0 * random.uniform() - 1.0)).collect(),
+            };
+            all.push((name, Var::from_vec(values, shape, device)?));
+        }
+        Ok(Self(all))
+    }
+
+    /// Variables with stored values; every tensor of the architecture must be there with its shape.
+    ///
+    /// # Errors
+    /// `Config`, naming the tensor.
+    pub fn from_stored(
+        architecture: &Architecture,
+        stored: &BTreeMap<String, StoredTensor>,
+        device: &Device,
+    ) -> Result<Self> {
+        let mut all = Vec::new();
+        for (name, shape) in architecture.tensors() {
+            match stored.get(&name) {
+                Some(t) if t.shape == shape => {
+                    all.push((name, Var::from_vec(t.data.clone(), shape, device)?));
+                }
+                Some(t) => return Err(Error::config(name, format!("has shape {:?}, not {shape:?}", t.shape))),
+                None => return Err(Error::config(name, "this tensor is missing")),
+            }
+        }
+        Ok(Self(all))
+    }
+
+    /// Variables of the same names and shapes, all 0.
+    ///
+    /// # Errors
+    /// Whatever candle refuses.
+    pub fn zeros_like(&self) -> Result<Self> {
+        let zeros = |(name, var): &(String, Var)| Ok((name.clone(), Var::from_tensor(&var.zeros_like()?)?));
+        Ok(Self(self.0.iter().map(zeros).collect::<Result<_>>()?))
+    }
+
+    /// A variable by name.
+    ///
+    /// # Errors
+    /// `Config` if there is none of that name.
+    pub fn get(&self, name: &str) -> Result<&Var> {
+        self.0
+            .iter()
+            .find(|(n, _)| n == name)
+            .map(|(_, v)| v)
+            .ok_or_else(|| Error::config(name, "this tensor is missing"))
+    }
+
+    /// Names and variables in order.
+    pub fn iter(&self) -> impl Iterator<Item = (&str, &Var)> {
+        self.0.iter().map(|(n, v)| (n.as_str(), v))
+    }
+
+    /// All values, copied to the host.
+    ///
+    /// # Errors
+    /// Whatever candle refuses.
+    pub fn to_stored(&self) -> Result<BTreeMap<String, StoredTensor>> {
+        self.iter().map(|(name, var)| Ok((name.to_string(), to_stored(var.as_tensor())?))).collect()
+    }
+}
+
+/// One tensor, copied to the host.
+///
+/// # Errors
+/// Whatever candle refuses.
+pub fn to_stored(tensor: &Tensor) -> Result<StoredTensor> {
+    Ok(StoredTensor { shape: tensor.dims().to_vec(), data: tensor.flatten_all()?.to_vec1()? })
+}

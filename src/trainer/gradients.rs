@@ -1,0 +1,165 @@
+//! Loss and gradients of one batch: fixed chunks of pieces, each with its own graph, summed in chunk order.
+//!
+//! Chunks spread over the cores, keep every tensor small, and depend on the batch alone, so a step gives the same bytes on
+//! any number of threads.
+
+use crate::config::Term;
+use crate::dataset::Block;
+use crate::error::Result;
+use crate::loss::{Means, Target};
+use crate::model::texture::{Sigmas, smoothed};
+use crate::model::{Inputs, Networks, Tables, Variables};
+use candle_core::{Device, Tensor, Var};
+use neumip_export::config::{Architecture, OFFSET_TEXTURE, texture_name};
+use rayon::prelude::*;
+
+/// Least samples of a chunk.
+const CHUNK_SAMPLES: usize = 1024;
+/// Most chunks of a batch: each one's graph zero-fills and adds a gradient as large as the textures.
+const MOST_CHUNKS: usize = 8;
+
+/// One batch's work.
+pub(super) struct Job<'a> {
+    pub networks: &'a Networks,
+    pub variables: &'a Variables,
+    pub tables: &'a Tables,
+    pub terms: &'a [Term],
+    pub target_range: [f32; 2],
+    /// Pieces of a higher level have weight 0.
+    pub highest_level: Option<u32>,
+    pub device: &'a Device,
+}
+
+/// Loss and gradients of a batch.
+pub(super) struct Gradients {
+    /// The loss.
+    pub loss: f64,
+    /// Of the tables, as the lookups saw them.
+    pyramid: Tensor,
+    offset: Option<Tensor>,
+    /// Of the networks' weights and biases, by name.
+    networks: Vec<(String, Tensor)>,
+}
+
+/// A part of a batch, ready for the networks.
+pub(super) struct Chunk {
+    pub inputs: Inputs,
+    pub target: Target,
+}
+
+impl Job<'_> {
+    /// The batch's loss and gradients.
+    pub fn gradients(&self, pieces: &[Block]) -> Result<Gradients> {
+        let samples = pieces.iter().map(|p| p.side() * p.side()).sum::<usize>();
+        let largest = pieces.first().map_or(1, |p| p.side() * p.side());
+        let per_chunk = (samples.div_ceil(MOST_CHUNKS).max(CHUNK_SAMPLES) / largest).max(1);
+        let means = self.means(pieces);
+        let parts: Vec<Gradients> =
+            pieces.par_chunks(per_chunk).map(|chunk| self.chunk_gradients(chunk, means)).collect::<Result<_>>()?;
+        let mut parts = parts.into_iter();
+        let Some(mut total) = parts.next() else {
+            return Err(crate::error::Error::config("batch", "is empty"));
+        };
+        for part in parts {
+            total.add(part)?;
+        }
+        Ok(total)
+    }
+
+    /// Counts that the batch's sums are divided by.
+    pub fn means(&self, pieces: &[Block]) -> Means {
+        Means::of(pieces.first().map_or(1, |p| p.side()), pieces.iter().map(|p| p.patch()))
+    }
+
+    /// The queries and targets of some pieces of a batch.
+    pub fn chunk(&self, pieces: &[Block], means: Means) -> Result<Chunk> {
+        let architecture = &self.networks.architecture;
+        let side = pieces.first().map_or(1, |p| p.side());
+        let (mut u, mut wi, mut wo, mut level) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let mut rgb = Vec::with_capacity(pieces.len() * side * side);
+        let [low, high] = self.target_range;
+        for piece in pieces {
+            let queries = piece.queries(architecture.resolution);
+            u.extend_from_slice(&queries.u);
+            wi.extend_from_slice(&queries.wi);
+            wo.extend_from_slice(&queries.wo);
+            level.extend_from_slice(&queries.level);
+            rgb.extend(piece.target().iter().map(|p| p.map(|v| v.clamp(low, high))));
+        }
+        let patches: Vec<usize> = pieces.iter().map(|p| p.patch()).collect();
+        let weights: Vec<f32> =
+            pieces.iter().map(|p| f32::from(self.highest_level.is_none_or(|most| p.level() <= most as f32))).collect();
+        Ok(Chunk {
+            inputs: Inputs::new(architecture, &u, &wi, &wo, &level, self.device)?,
+            target: Target::new(rgb, side, &patches, &weights, means, self.device)?,
+        })
+    }
+
+    fn chunk_gradients(&self, pieces: &[Block], means: Means) -> Result<Gradients> {
+        let chunk = self.chunk(pieces, means)?;
+        let pyramid = Var::from_tensor(&self.tables.pyramid)?;
+        let offset = self.tables.offset.as_ref().map(Var::from_tensor).transpose()?;
+        let tables =
+            Tables { pyramid: pyramid.as_tensor().clone(), offset: offset.as_ref().map(|o| o.as_tensor().clone()) };
+        let prediction = self.networks.forward(&chunk.inputs, &tables)?;
+        let loss = chunk.target.loss(&prediction, self.terms)?;
+        let mut store = loss.backward()?;
+        let mut take = |var: &Var| match store.remove(var.as_tensor()) {
+            Some(gradient) => Ok(gradient),
+            None => var.as_tensor().zeros_like(),
+        };
+        let mut networks = Vec::new();
+        for (name, var) in self.variables.iter() {
+            if !is_texture(name) {
+                networks.push((name.to_string(), take(var)?));
+            }
+        }
+        Ok(Gradients {
+            loss: f64::from(loss.to_scalar::<f32>()?),
+            pyramid: take(&pyramid)?,
+            offset: offset.as_ref().map(take).transpose()?,
+            networks,
+        })
+    }
+}
+
+fn is_texture(name: &str) -> bool {
+    name == OFFSET_TEXTURE || name.starts_with("texture.")
+}
+
+impl Gradients {
+    fn add(&mut self, other: Self) -> Result<()> {
+        self.loss += other.loss;
+        self.pyramid = (&self.pyramid + other.pyramid)?;
+        if let (Some(mine), Some(theirs)) = (&mut self.offset, other.offset) {
+            *mine = (&*mine + theirs)?;
+        }
+        for ((_, mine), (_, theirs)) in self.networks.iter_mut().zip(other.networks) {
+            *mine = (&*mine + theirs)?;
+        }
+        Ok(())
+    }
+
+    /// False if the loss or any sample's gradient is not finite: every one of them reaches the last bias.
+    pub fn finite(&self) -> bool {
+        let bias = self.networks.last().and_then(|(_, g)| g.flatten_all().ok()?.to_vec1::<f32>().ok());
+        self.loss.is_finite() && bias.is_some_and(|b| b.iter().all(|v| v.is_finite()))
+    }
+
+    /// Gradients of the variables by name: the tables' ones smoothed once more, which is the adjoint of reading them so.
+    pub fn by_variable(self, architecture: &Architecture, sigmas: &Sigmas) -> Result<Vec<(String, Tensor)>> {
+        let mut all = Vec::new();
+        for (level, size) in architecture.level_sizes().iter().enumerate() {
+            let shape = (size.height, size.width, architecture.model.texture.channels);
+            let part = self.pyramid.narrow(0, size.base, size.height * size.width)?.reshape(shape)?;
+            all.push((texture_name(level), smoothed(&part, sigmas.pyramid[level])?));
+        }
+        if let Some(offset) = self.offset {
+            let [height, width] = architecture.resolution;
+            let offset = offset.reshape((height, width, ()))?;
+            all.push((OFFSET_TEXTURE.into(), smoothed(&offset, sigmas.offset)?));
+        }
+        all.extend(self.networks);
+        Ok(all)
+    }
+}

@@ -1,0 +1,392 @@
+//! Training: steps, validations, checkpoints. It emits events and never prints.
+
+mod diagnosis;
+mod gradients;
+mod optimiser;
+mod progress;
+
+pub use progress::{Point, Progress};
+
+use crate::checkpoint::{RunFolder, RunRecord, State};
+use crate::config::{Budget, Config, Stage};
+use crate::dataset::{Block, Dataset, SplitName, Stream};
+use crate::error::{Error, Result};
+use crate::metrics::ErrorSum;
+use crate::model::texture::{Sigmas, smoothed};
+use crate::model::{Networks, NeuralMaterial, Tables, Variables};
+use crate::query::Reflectance;
+use crate::random::{Random, Stream as RandomStream};
+use candle_core::Device;
+use neumip_export::checkpoint::{Checkpoint, Header};
+use neumip_export::config::{Architecture, OFFSET_TEXTURE};
+use optimiser::Optimiser;
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::time::Instant;
+
+/// Points of the loss curve over a run.
+const CURVE_POINTS: u64 = 200;
+/// Rounding of shares of a run.
+const SLACK: f64 = 1e-9;
+
+/// What happens while training.
+#[derive(Clone, Debug)]
+pub enum Event {
+    /// A step is done.
+    Step {
+        /// Steps done.
+        step: u64,
+        /// Samples presented.
+        samples: u64,
+        /// Share of the run done.
+        fraction: f64,
+        /// The step's loss.
+        loss: f64,
+    },
+    /// A validation is done.
+    Validation {
+        /// The point of the curve.
+        point: Point,
+        /// True if this is the best so far.
+        best: bool,
+    },
+    /// Another stage of the losses begins.
+    Stage {
+        /// Its index.
+        index: usize,
+    },
+}
+
+/// Called with every event; `Break` saves and stops.
+pub type Listener<'a> = dyn FnMut(&Event) -> ControlFlow<()> + 'a;
+
+/// A training run.
+pub struct Trainer {
+    config: Config,
+    stages: Vec<Stage>,
+    networks: Networks,
+    variables: Variables,
+    optimiser: Optimiser,
+    stream: Stream,
+    validation: Vec<Block>,
+    header: Header,
+    progress: Progress,
+    folder: RunFolder,
+    data: String,
+    device: Device,
+}
+
+impl Trainer {
+    /// A new run in a new folder. `memory` bounds the training data kept at a time, in bytes.
+    ///
+    /// # Errors
+    /// `Config` for a value that cannot work, `File` for data that cannot be read or a folder that cannot be made.
+    pub fn new(
+        config: Config,
+        data: &Dataset,
+        out: &Path,
+        force: bool,
+        memory: usize,
+        device: &Device,
+    ) -> Result<Self> {
+        config.train.validate()?;
+        let architecture = Architecture::new(config.model.clone(), data.resolution())?;
+        let variables = Variables::initial(&architecture, config.train.seed, device)?;
+        let optimiser = Optimiser::new(&variables, config.train.adam)?;
+        let sources = Sources::open(&config, data, memory)?;
+        let folder = RunFolder::create(out, &RunRecord::new(config.clone(), data.identity()?, memory), force)?;
+        Self::assemble(config, architecture, variables, optimiser, sources, data, folder, device)
+    }
+
+    /// Goes on with the newest saved state of a run, on the data it began with.
+    ///
+    /// # Errors
+    /// `File` for a folder without a state, or data that is not the run's.
+    pub fn resume(out: &Path, data: &Dataset, device: &Device) -> Result<Self> {
+        let (folder, record) = RunFolder::open(out)?;
+        if record.data != data.identity()? {
+            return Err(Error::file(data.root(), format!("is not the data that {} was begun with", out.display())));
+        }
+        let config = record.config;
+        let architecture = Architecture::new(config.model.clone(), data.resolution())?;
+        let state = folder.load_last()?;
+        let part = |prefix: &str| {
+            state.tensors.iter().filter_map(|(n, t)| Some((n.strip_prefix(prefix)?.to_string(), t.clone()))).collect()
+        };
+        let restore = |prefix: &str| Variables::from_stored(&architecture, &part(prefix), device);
+        let variables = restore("value.")?;
+        let optimiser = Optimiser::restored(restore("first.")?, restore("second.")?, config.train.adam);
+        let sources = Sources::open(&config, data, record.memory)?;
+        let mut this =
+            Self::assemble(config, architecture, variables, optimiser, sources, data, folder, device)?;
+        this.progress = serde_json::from_value(state.progress).map_err(|e| Error::file(out, e))?;
+        this.stream.seek(this.progress.step);
+        Ok(this)
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "the parts of one struct, used by its two constructors")]
+    fn assemble(
+        config: Config,
+        architecture: Architecture,
+        variables: Variables,
+        optimiser: Optimiser,
+        sources: Sources,
+        data: &Dataset,
+        folder: RunFolder,
+        device: &Device,
+    ) -> Result<Self> {
+        let header = Header {
+            format: neumip_export::checkpoint::FORMAT,
+            architecture: architecture.clone(),
+            height_range: data.manifest().height_range,
+            measure: data.manifest().measure,
+            material: data.manifest().material.clone(),
+            provenance: serde_json::Value::Null,
+            errors: serde_json::Value::Null,
+        };
+        Ok(Self {
+            stages: config.train.stages.resolve()?,
+            networks: Networks::new(&architecture, &variables)?,
+            variables,
+            optimiser,
+            stream: sources.stream,
+            validation: sources.validation,
+            header,
+            progress: Progress::default(),
+            folder,
+            data: data.identity()?,
+            device: device.clone(),
+            config,
+        })
+    }
+
+    /// What has been done.
+    pub fn progress(&self) -> &Progress {
+        &self.progress
+    }
+
+    /// The run's folder.
+    pub fn folder(&self) -> &RunFolder {
+        &self.folder
+    }
+
+    /// Trains to the end of the budget.
+    ///
+    /// # Errors
+    /// `Diverged` for a loss that is not finite, `Interrupted` when the listener breaks; both leave a state on disk.
+    pub fn run(&mut self, listener: &mut Listener) -> Result<()> {
+        let mut clock = Instant::now();
+        let mut next_validation = self.next_validation();
+        while self.progress.fraction < 1.0 {
+            let loss = match self.step() {
+                Ok(loss) => loss,
+                Err(error) => {
+                    if matches!(error, Error::Diverged(_)) {
+                        self.save_last()?;
+                    }
+                    return Err(error);
+                }
+            };
+            self.progress.seconds += clock.elapsed().as_secs_f64();
+            clock = Instant::now();
+            self.progress.fraction = self.fraction();
+            let mut events = vec![Event::Step {
+                step: self.progress.step,
+                samples: self.progress.samples,
+                fraction: self.progress.fraction,
+                loss,
+            }];
+            let validated = self.progress.fraction >= next_validation - SLACK;
+            if validated {
+                next_validation = self.next_validation();
+                events.push(self.validate()?);
+                self.progress.seconds += clock.elapsed().as_secs_f64();
+                clock = Instant::now();
+            }
+            if self.progress.advance_stage(&self.stages) {
+                events.push(Event::Stage { index: self.progress.stage });
+            }
+            if validated {
+                self.save_last()?;
+            }
+            let stop = events.iter().fold(false, |stop, event| listener(event).is_break() || stop);
+            if stop && self.progress.fraction < 1.0 {
+                if !validated {
+                    self.save_last()?;
+                }
+                return Err(Error::Interrupted(format!(
+                    "saved at step {}; go on with --resume --out {}",
+                    self.progress.step,
+                    self.folder.path().display()
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// The share of the run at which the next validation is due.
+    fn next_validation(&self) -> f64 {
+        let validations = self.config.train.validations as f64;
+        ((self.progress.fraction * validations + SLACK).floor() + 1.0) / validations
+    }
+
+    fn fraction(&self) -> f64 {
+        let p = &self.progress;
+        let share = match self.config.train.budget {
+            Budget::Steps(steps) => p.step as f64 / steps as f64,
+            Budget::Samples(samples) => p.samples as f64 / samples as f64,
+            Budget::Minutes(minutes) => p.seconds / (60.0 * minutes),
+        };
+        share.min(1.0)
+    }
+
+    fn sigmas(&self) -> Sigmas {
+        Sigmas::at(&self.networks.architecture, self.config.train.smoothing.as_ref(), self.progress.fraction)
+    }
+
+    /// One optimiser step; returns its loss.
+    fn step(&mut self) -> Result<f64> {
+        let (step, fraction) = (self.progress.step, self.progress.fraction);
+        let train = &self.config.train;
+        let batch = self.stream.next_batch()?;
+        let sigmas = self.sigmas();
+        let tables = Tables::new(&self.networks.architecture, &self.variables, &sigmas)?;
+        let job = gradients::Job {
+            networks: &self.networks,
+            variables: &self.variables,
+            tables: &tables,
+            terms: &self.stages[self.progress.stage].terms,
+            target_range: train.target_range,
+            highest_level: self.highest_level(step),
+            device: &self.device,
+        };
+        let result = job.gradients(&batch.pieces)?;
+        if !result.finite() {
+            let problem = diagnosis::explain(&job, &batch.pieces, step, self.folder.path());
+            return Err(Error::Diverged(problem));
+        }
+        let loss = result.loss;
+        let rate = train.learning_rate.at(fraction);
+        let frozen = train.offset_freeze.is_some_and(|share| fraction >= share);
+        self.optimiser.begin(rate, step + 1);
+        for (name, gradient) in result.by_variable(&self.networks.architecture, &sigmas)? {
+            if !(frozen && name == OFFSET_TEXTURE) {
+                self.optimiser.update(&name, self.variables.get(&name)?, &gradient)?;
+            }
+        }
+        self.progress.step += 1;
+        self.progress.samples += train.batch as u64;
+        self.progress.add_loss(loss, self.curve_interval());
+        self.blend()?;
+        Ok(loss)
+    }
+
+    /// Steps between two points of the loss curve; with a budget in minutes the count of steps is not known beforehand.
+    fn curve_interval(&self) -> u64 {
+        let steps = match self.config.train.budget {
+            Budget::Steps(steps) => steps,
+            Budget::Samples(samples) => samples / self.config.train.batch as u64,
+            Budget::Minutes(_) => return 50,
+        };
+        (steps / CURVE_POINTS).max(1)
+    }
+
+    fn highest_level(&self, step: u64) -> Option<u32> {
+        let choices = &self.config.train.level_dropout;
+        if choices.is_empty() {
+            return None;
+        }
+        let mut random = Random::new(self.config.train.seed, RandomStream::LevelDropout, step);
+        choices[random.below(choices.len())]
+    }
+
+    /// NeuMIP's early blending of the stored levels towards their blur.
+    fn blend(&self) -> Result<()> {
+        let Some(blend) = self.config.train.blend else {
+            return Ok(());
+        };
+        let before = self.progress.fraction;
+        let after = self.fraction();
+        if before >= blend.until || (before / blend.every).floor() == (after / blend.every).floor() {
+            return Ok(());
+        }
+        for (name, var) in self.variables.iter() {
+            if name.starts_with("texture.") {
+                let stored = var.as_detached_tensor();
+                let blurred = smoothed(&stored, blend.sigma)?;
+                var.set(&((stored * (1.0 - blend.amount))? + (blurred * blend.amount)?)?)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn validate(&mut self) -> Result<Event> {
+        let material =
+            NeuralMaterial::new(&self.networks.architecture, &self.variables, &self.sigmas(), &self.device)?;
+        let mut sum = ErrorSum::default();
+        for block in &self.validation {
+            let answer = material.evaluate(&block.queries(self.header.architecture.resolution))?;
+            sum.add(&answer.pixels, &block.target());
+        }
+        let (point, best) = self.progress.add_validation(sum.errors(), &self.stages);
+        if best {
+            let checkpoint = self.checkpoint()?;
+            self.folder.save_best(&checkpoint)?;
+        }
+        Ok(Event::Validation { point, best })
+    }
+
+    /// The material as queries read it now.
+    ///
+    /// # Errors
+    /// Whatever candle refuses.
+    pub fn checkpoint(&self) -> Result<Checkpoint> {
+        let sigmas = self.sigmas();
+        let mut tensors = self.variables.to_stored()?;
+        for (name, var) in self.variables.iter() {
+            let sigma = sigmas.of(name);
+            if sigma > 0.0 {
+                let texture = smoothed(&var.as_detached_tensor(), sigma)?;
+                tensors.insert(name.to_string(), crate::model::variables::to_stored(&texture)?);
+            }
+        }
+        let mut header = self.header.clone();
+        header.provenance = self.progress.provenance(&self.config, &self.data);
+        header.errors = self.progress.latest_errors();
+        Ok(Checkpoint { header, tensors })
+    }
+
+    fn save_last(&self) -> Result<()> {
+        let mut tensors = std::collections::BTreeMap::new();
+        let (first, second) = self.optimiser.moments();
+        for (prefix, variables) in [("value", &self.variables), ("first", first), ("second", second)] {
+            for (name, tensor) in variables.to_stored()? {
+                tensors.insert(format!("{prefix}.{name}"), tensor);
+            }
+        }
+        let progress = serde_json::to_value(&self.progress).map_err(|e| Error::file(self.folder.path(), e))?;
+        let state = State { generation: self.progress.step, progress, tensors };
+        self.folder.save_last(&self.checkpoint()?, &state)?;
+        self.folder.write_json("history.json", &self.progress)
+    }
+}
+
+/// The data of a run: the training stream and the validation split.
+struct Sources {
+    stream: Stream,
+    validation: Vec<Block>,
+}
+
+impl Sources {
+    fn open(config: &Config, data: &Dataset, memory: usize) -> Result<Self> {
+        let train = &config.train;
+        let pieces = train.batch / (train.piece * train.piece);
+        let stream = Stream::new(data, SplitName::Train, train.piece, pieces, memory, train.seed)?;
+        let split = data.split(SplitName::Validation)?;
+        let mut validation = Vec::new();
+        for file in 0..split.files() {
+            validation.extend(split.read_file(file)?);
+        }
+        Ok(Self { stream, validation })
+    }
+}
