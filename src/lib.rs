@@ -33,6 +33,7 @@ pub mod model;
 pub mod query;
 pub mod random;
 pub mod reference;
+pub mod report;
 pub mod trainer;
 
 pub use error::{Error, Result};

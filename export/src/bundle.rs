@@ -53,7 +53,8 @@ pub struct Bundle {
 
 /// Writes a bundle as the folder `out`, whole or not at all, and returns its files (`material.json` last).
 ///
-/// With `force` an older bundle at `out` is replaced once the new one is complete; any other folder is left alone.
+/// With `force` an older bundle at `out` is replaced once the new one is complete; any other folder is left
+/// alone.
 ///
 /// # Errors
 /// `Config`, naming the tensor or field at fault; `File`, naming the path that exists or cannot be written.
@@ -209,16 +210,16 @@ fn readme(checkpoint: &Checkpoint, textures: usize) -> String {
          \n\
          {MATERIAL}       the whole material: u, wi, wo [N, 2] and level [N] in, rgb [N, 3] out\n\
          {DECODER}        the network alone, for renderers that look the textures up themselves:\n\
-         \x20                    features [N, {channels}] first, then the same inputs\n\
-         *.exr               {textures} files of neural textures, half floats, four channels a file, with mip levels\n\
+         \x20                   features [N, {channels}] first, then the same inputs\n\
+         *.exr               {textures} files of neural textures: half floats, four channels, mip levels\n\
          {MODEL}   all weights and textures as 32-bit floats\n\
-         {SIDECAR}       conventions, interfaces, sizes, costs, errors, checksums, and how to evaluate step by step\n\
+         {SIDECAR}       conventions, interfaces, costs, errors, checksums, how to evaluate step by step\n\
          {GOLDEN}         queries and answers: a reader is right if it reproduces rgb within `tolerance`,\n\
-         \x20                    |difference| <= tolerance (1 + |rgb|)\n\
+         \x20                   |difference| <= tolerance (1 + |rgb|)\n\
          \n\
-         In short: wi points to the light and wo to the viewer, both away from the surface, as x and y of unit vectors\n\
-         in the local frame (z along the normal). u is the position on the tile and repeats with period 1. level is log2\n\
-         of the footprint in texels. rgb is linear; {measure}.\n\
+         In short: wi points to the light and wo to the viewer, both away from the surface, as x and y of\n\
+         unit vectors in the local frame (z along the normal). u is the position on the tile and repeats with\n\
+         period 1. level is log2 of the footprint in texels. rgb is linear; {measure}.\n\
          The textures were rounded to half floats in the EXR files only.\n\
          \n\
          To check this bundle with Python (numpy and onnxruntime): python neumip_onnx.py FOLDER --check\n\

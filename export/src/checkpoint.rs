@@ -1,7 +1,7 @@
 //! The checkpoint: what a material is, and every number needed to answer a query.
 //!
-//! One safetensors file ([`crate::tensors`]). Tensors are f32, named and shaped as [`Architecture::tensors`] says; the
-//! one metadata key, `neumip`, holds a [`Header`] as JSON.
+//! One safetensors file ([`crate::tensors`]). Tensors are f32, named and shaped as [`Architecture::tensors`]
+//! says; the one metadata key, `neumip`, holds a [`Header`] as JSON.
 
 use crate::config::Architecture;
 use crate::error::{Error, Result};

@@ -3,7 +3,8 @@
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 
-/// Queries and answers, entry by entry, and how far an answer may be off: |difference| <= tolerance (1 + |rgb|).
+/// Queries and answers, entry by entry, and how far an answer may be off: |difference| <= tolerance (1 +
+/// |rgb|).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Golden {

@@ -5,7 +5,8 @@
 //!                                  golden answers (computed elsewhere) ------^
 //! ```
 //!
-//! Nothing here evaluates a material: golden answers come in as data, so that no graph is compared with its author.
+//! Nothing here evaluates a material: golden answers come in as data, so that no graph is compared with its
+//! author.
 
 pub mod bundle;
 pub mod checkpoint;

@@ -173,19 +173,20 @@ impl Sidecar {
 fn conventions(measure: Measure) -> Vec<String> {
     let rgb = match measure {
         Measure::RadianceCosine => {
-            "RGB is linear and is f cos(theta_i) averaged over the footprint: the radiance under a distant light that \
-             gives irradiance 1 on a plane facing it. Do not multiply by the cosine again."
+            "RGB is linear and is f cos(theta_i) averaged over the footprint: the radiance under a distant light \
+             that gives irradiance 1 on a plane facing it. Do not multiply by the cosine again."
         }
         Measure::Reflectance => {
-            "RGB is linear and is the bare f averaged over the footprint. Multiply by cos(theta_i) = wi.z for radiance."
+            "RGB is linear and is the bare f averaged over the footprint. Multiply by cos(theta_i) = wi.z \
+             for radiance."
         }
     };
     [
-        "Local frame: x along u, y along v, z along the normal. wi points to the light, wo to the viewer, both away \
-         from the surface, unit length; they are given as (x, y), with z = sqrt(1 - x^2 - y^2).",
+        "Local frame: x along u, y along v, z along the normal. wi points to the light, wo to the viewer, both \
+         away from the surface, unit length; they are given as (x, y), with z = sqrt(1 - x^2 - y^2).",
         "x^2 + y^2 >= 1 means on or below the horizon: the answer is 0.",
-        "u is where the view ray meets the plane z = 0. The tile is [0, 1) x [0, 1) and repeats; texel (row i, column j) \
-         has its centre at ((j + 0.5) / width, (i + 0.5) / height).",
+        "u is where the view ray meets the plane z = 0. The tile is [0, 1) x [0, 1) and repeats; texel (row i, \
+         column j) has its centre at ((j + 0.5) / width, (i + 0.5) / height).",
         "level is log2 of the footprint's size in texels of the finest level; levels are continuous.",
         rgb,
     ]
@@ -202,22 +203,22 @@ fn steps(architecture: &Architecture) -> Vec<String> {
         match &model.parallax {
             ParallaxConfig::None {} => "No parallax: u' = u.".into(),
             ParallaxConfig::Offset(offset) => format!(
-                "Parallax: u' = u + 0.5 r wo.xy / max(wo.z, {}), r = {} MLP({OFFSET_TEXTURE} at u, wo.x, wo.y); the \
-                 texture [{height}, {width}, {}] is looked up bilinearly with repetition.",
+                "Parallax: u' = u + 0.5 r wo.xy / max(wo.z, {}), r = {} MLP({OFFSET_TEXTURE} at u, wo.x, wo.y); \
+                 the texture [{height}, {width}, {}] is looked up bilinearly with repetition.",
                 offset.min_z, offset.scale, offset.channels
             ),
         },
         format!(
-            "Features: the {} channels of texture.level0, texture.level1, ... at u', bilinear with repetition in the two \
-             levels around `level` (level l has max(1, {height} >> l) rows and max(1, {width} >> l) columns), mixed \
-             linearly by the fraction.",
+            "Features: the {} channels of texture.level0, texture.level1, ... at u', bilinear with repetition in \
+             the two levels around `level` (level l has max(1, {height} >> l) rows and max(1, {width} >> l) \
+             columns), mixed linearly by the fraction.",
             model.texture.channels
         ),
     ];
     steps.push(encoding_step(architecture));
     steps.push(format!(
-        "Decoder: input [features, u encoding, wi encoding, wo encoding] ({} values), layers relu(W x + b), the last one \
-         linear. Networks in order of layers: decoder.mlp.0.weight [out, in], decoder.mlp.0.bias [out], ...",
+        "Decoder: input [features, u encoding, wi encoding, wo encoding] ({} values), layers relu(W x + b), the last \
+         one linear. Networks in order of layers: decoder.mlp.0.weight [out, in], decoder.mlp.0.bias [out], ...",
         architecture.decoder_inputs()
     ));
     let mut output = String::from("Output: the first three values y.");
@@ -239,14 +240,15 @@ fn encoding_step(architecture: &Architecture) -> String {
     let encoding = &architecture.model.encoding;
     let frequency = if encoding.pi { "2^k pi" } else { "2^k" };
     let mut step = format!(
-        "Encoding: p = 2 u - 1 with the wrapped u of the query, not u'. For k = 0, 1, ...: the sines of all components \
-         times {frequency}, then the cosines. u: {} bands",
+        "Encoding: p = 2 u - 1 with the wrapped u of the query, not u'. For k = 0, 1, ...: the sines of all \
+         components times {frequency}, then the cosines. u: {} bands",
         architecture.u_bands()
     );
     if encoding.u.attenuate {
         let pi = if encoding.pi { "pi " } else { "" };
         step += &format!(
-            ", band k of component c times exp(-(2^k {pi}s_c)^2 / 2), s_c = 2^level (2 / N_c) / sqrt(12), N = (width, height)"
+            ", band k of component c times exp(-(2^k {pi}s_c)^2 / 2), s_c = 2^level (2 / N_c) / sqrt(12), \
+             N = (width, height)"
         );
     }
     if encoding.u.raw {

@@ -1,10 +1,12 @@
 //! A plain safetensors file of f32 tensors with one JSON string of metadata.
 //!
-//! Layout: 8 bytes of little-endian header length n, n bytes of JSON, then the data. The JSON maps each tensor's name
-//! to `{"dtype": "F32", "shape": [...], "data_offsets": [begin, end]}` and `__metadata__` to `{key: string}`. There is
-//! exactly one metadata key, because a map of several is written in hash order and two runs would differ.
+//! Layout: 8 bytes of little-endian header length n, n bytes of JSON, then the data. The JSON maps each
+//! tensor's name to `{"dtype": "F32", "shape": [...], "data_offsets": [begin, end]}` and `__metadata__` to
+//! `{key: string}`. There is exactly one metadata key, because a map of several is written in hash order and
+//! two runs would differ.
 //!
-//! The reader trusts nothing: what it allocates is bounded by the file's length, and every complaint names the tensor.
+//! The reader trusts nothing: what it allocates is bounded by the file's length, and every complaint names
+//! the tensor.
 
 use crate::error::{Error, Result};
 use crate::whole_file::write_whole;
@@ -190,7 +192,8 @@ impl<'a> TensorReader<'a> {
     }
 }
 
-/// Checks that the tensors are f32 and tile the `length` bytes of data; returns them in the order of the data.
+/// Checks that the tensors are f32 and tile the `length` bytes of data; returns them in the order of the
+/// data.
 fn layout(
     map: serde_json::Map<String, serde_json::Value>,
     length: u64,

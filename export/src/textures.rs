@@ -1,8 +1,8 @@
 //! Neural textures as half-float EXR files with mip levels, four channels a file.
 //!
-//! File k of a texture holds its channels 4 k to 4 k + 3 as R, G, B, A (0 where there are no more). The mip chain goes
-//! down to one texel, as EXR asks; where the model has fewer levels, the rest are box averages of the level before and
-//! belong to no model ([`TextureFile::levels`] says how many do).
+//! File k of a texture holds its channels 4 k to 4 k + 3 as R, G, B, A (0 where there are no more). The mip
+//! chain goes down to one texel, as EXR asks; where the model has fewer levels, the rest are box averages of
+//! the level before and belong to no model ([`TextureFile::levels`] says how many do).
 
 use crate::checkpoint::Checkpoint;
 use crate::config::{OFFSET_TEXTURE, ParallaxConfig, texture_name};

@@ -43,7 +43,8 @@ pub(crate) fn sync_folder(folder: &Path) {
     }
 }
 
-/// Temporary names of ours, with the permissions that an ordinary new file or folder gets under the user's umask.
+/// Temporary names of ours, with the permissions that an ordinary new file or folder gets under the user's
+/// umask.
 fn builder(mode: u32) -> tempfile::Builder<'static, 'static> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(".neumip-");

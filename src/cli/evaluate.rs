@@ -146,7 +146,7 @@ pub fn evaluate(
 }
 
 /// The table as text: a line a split and level, `mse` x 10^3 of every run.
-fn text_table(evaluations: &[Evaluation]) -> String {
+pub fn text_table(evaluations: &[Evaluation]) -> String {
     let mut out = String::new();
     for (k, e) in evaluations.iter().enumerate() {
         let cost = e.cost.map_or(String::new(), |c| {

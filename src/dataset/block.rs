@@ -145,21 +145,24 @@ pub(crate) fn stack<'a>(
     resolution: [usize; 2],
 ) -> QueryBuffer {
     let mut queries = QueryBuffer::slice(rows.len(), side, [0.0; 2], [0.0; 2], 0.0);
-    let mut k = 0;
+    let mut start = 0;
     for (layout, row) in rows {
+        let (side, patch) = (layout.side, layout.patch);
         let step = f64::from(layout.level).exp2();
-        let per_block = layout.side / layout.patch;
-        for column in 0..layout.side {
-            let patch = &layout.patches[row / layout.patch * per_block + column / layout.patch];
-            let at = |corner: f32, index: usize, texels: usize| {
-                wrap(f64::from(corner) + ((index % layout.patch) as f64 + 0.5) * step / texels as f64)
-            };
-            queries.u[k] =
-                [at(patch.corner[0], column, resolution[1]), at(patch.corner[1], row, resolution[0])];
-            queries.wi[k] = patch.wi;
-            queries.wo[k] = patch.wo;
-            queries.level[k] = layout.level;
-            k += 1;
+        let at = |corner: f32, index: usize, texels: usize| {
+            wrap(f64::from(corner) + (index as f64 + 0.5) * step / texels as f64)
+        };
+        let first = row / patch * (side / patch);
+        for of_patch in &layout.patches[first..first + side / patch] {
+            let line = start..start + patch;
+            let y = at(of_patch.corner[1], row % patch, resolution[0]);
+            for (column, u) in queries.u[line.clone()].iter_mut().enumerate() {
+                *u = [at(of_patch.corner[0], column, resolution[1]), y];
+            }
+            queries.wi[line.clone()].fill(of_patch.wi);
+            queries.wo[line.clone()].fill(of_patch.wo);
+            queries.level[line].fill(layout.level);
+            start += patch;
         }
     }
     queries

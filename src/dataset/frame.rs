@@ -6,7 +6,7 @@ use exr::{
     block::UncompressedBlock,
     meta::attribute::SampleType,
     prelude::{
-        AnyChannel, AnyChannels, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes,
+        AnyChannel, AnyChannels, Blocks, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes,
         LineOrder, Vec2, WritableImage,
     },
 };
@@ -74,7 +74,7 @@ pub(crate) fn write_frame(path: &Path, size: [usize; 2], planes: Vec<(&str, Plan
     let encoding = Encoding {
         compression: Compression::ZIP16,
         line_order: LineOrder::Increasing,
-        ..Encoding::default()
+        blocks: Blocks::ScanLines,
     };
     let layer =
         Layer::new((size[1], size[0]), LayerAttributes::default(), encoding, AnyChannels::sort(channels));

@@ -2,6 +2,8 @@
 
 pub mod gradient;
 pub mod remap;
+#[cfg(test)]
+mod tests;
 
 use crate::config::{Term, TermKind};
 use crate::error::Result;

@@ -14,6 +14,7 @@ use super::resample::{nearest_side, resample};
 use super::texture::Texture;
 use crate::error::{Error, Result};
 use serde::Deserialize;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Largest material.json that is read, in bytes.
@@ -69,14 +70,15 @@ fn glass() -> Scalar {
 /// `File`, naming the map or the json and the field: unreadable or unknown content, a value that is out of range or
 /// not finite, a data map whose channels differ, or a displacement that leaves [`MAX_DEPTH`].
 pub fn read(path: &Path) -> Result<Material> {
-    let size = std::fs::metadata(path).map_err(|e| Error::file(path, e))?.len();
-    if size > MAX_JSON_BYTES {
+    let mut text = String::new();
+    let file = std::fs::File::open(path).map_err(|e| Error::file(path, e))?;
+    file.take(MAX_JSON_BYTES + 1).read_to_string(&mut text).map_err(|e| Error::file(path, e))?;
+    if text.len() as u64 > MAX_JSON_BYTES {
         return Err(Error::file(
             path,
-            format!("has {size} bytes; a material.json has at most {MAX_JSON_BYTES}"),
+            format!("is longer than the {MAX_JSON_BYTES} bytes of a material.json"),
         ));
     }
-    let text = std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
     let file: MaterialFile = serde_json::from_str(&text).map_err(|e| Error::file(path, e))?;
     if file.version != 1 {
         return Err(Error::file(path, format!("version is {}; this program reads version 1", file.version)));

@@ -6,8 +6,9 @@
 //! Schlick's F = F0 + (F90 - F0) (1 - cos)^5, F90 = min(1, 50 F0); F0 is `specular` for F_d and `base_colour` for F_m.
 //! The coupling of the diffuse part is symmetric, so f is reciprocal, and it gives away what the layer reflects
 //! towards either direction, so no direction reflects more than it gets. With F0 = 0 the dielectric is
-//! exactly Lambert. Light that bounces between microfacets is lost (no multiple-scattering term): a white metal
-//! loses under 1 % at alpha 0.1 up to 60 degrees, about 2 % at 80 degrees, and over half of it at alpha 1 when grazing.
+//! exactly Lambert. Light that bounces between microfacets is lost (no multiple-scattering term): of a white metal at
+//! alpha 0.1 there return 0.988, 0.986, 0.982, 0.969 and 0.947 at 0, 30, 45, 60 and 70 degrees; at alpha 1 and 0 degrees
+//! 1 - ln 2 = 0.307.
 
 use std::f32::consts::{FRAC_1_PI, PI, TAU};
 
@@ -45,8 +46,10 @@ impl Brdf {
         if wi[2] <= 0.0 || wo[2] <= 0.0 {
             return [0.0; 3];
         }
-        let half = normalize([wi[0] + wo[0], wi[1] + wo[1], wi[2] + wo[2]]);
-        let cos_d = dot(wo, half).clamp(0.0, 1.0);
+        let sum = [wi[0] + wo[0], wi[1] + wo[1], wi[2] + wo[2]];
+        let half = normalize(sum);
+        // Half the length of wi + wo is the cosine of either with the half vector, rounded alike for both.
+        let cos_d = (0.5 * dot(sum, sum).sqrt()).min(1.0);
         let alpha = self.alpha();
         let lobe = distribution(alpha, half) * visibility(alpha, wi[2], wo[2]);
         let bend = schlick(cos_d);

@@ -22,6 +22,9 @@ const FONT_SIZE: f64 = 1.24 * (FONT * SCALE) as f64;
 const CHARACTER: i32 = 7;
 /// Names longer than this many characters are cut.
 const LONGEST_NAME: usize = 18;
+/// Largest x that is drawn, and shortest x axis: well inside what axes can be divided for.
+const FARTHEST: f64 = 1e12;
+const SHORTEST: f64 = 1e-3;
 /// Stands for ink until it becomes `currentColor`; no series has this colour.
 const INK: RGBColor = RGBColor(1, 2, 3);
 const INK_TEXT: &str = "#010203";
@@ -66,8 +69,8 @@ pub fn curves(series: &[Series], x_label: &str, y_label: &str) -> Result<Option<
         series.iter().map(|s| s.points.iter().copied().filter(drawable).collect()).collect();
     let all: Vec<(f64, f64)> = drawn.iter().flatten().copied().collect();
     let Some(y) = log_range(all.iter().map(|p| p.1)) else { return Ok(None) };
-    let x = all.iter().fold(f64::INFINITY..f64::NEG_INFINITY, |r, p| r.start.min(p.0)..r.end.max(p.0));
-    let x = x.start.min(0.0)..if x.end > x.start.min(0.0) { x.end } else { x.start.min(0.0) + 1.0 };
+    let start = all.iter().fold(0.0f64, |start, p| start.min(p.0));
+    let x = start..axis_end(start, all.iter().fold(start, |end, p| end.max(p.0)));
     let longest = series.iter().map(|s| shortened(&s.name).chars().count()).max().unwrap_or(0);
     let frame = Frame { x, y, x_label, y_label, right: 14 + CHARACTER * longest as i32 };
     draw(&frame, |area| {
@@ -92,7 +95,8 @@ pub fn curves(series: &[Series], x_label: &str, y_label: &str) -> Result<Option<
     .map(Some)
 }
 
-/// Points over a linear x from 0 and a log y; the n-th mark has the n-th colour. None if no point can be drawn.
+/// Points over a linear x from 0 and a log y; the n-th mark has the n-th colour. None if no point can be
+/// drawn.
 ///
 /// # Errors
 /// `Config` if the chart cannot be laid out.
@@ -100,10 +104,10 @@ pub fn scatter(marks: &[Mark], x_label: &str, y_label: &str) -> Result<Option<St
     let drawn: Vec<(usize, &Mark)> =
         marks.iter().enumerate().filter(|(_, m)| drawable(&(m.x, m.y)) && m.x >= 0.0).collect();
     let Some(y) = log_range(drawn.iter().map(|(_, m)| m.y)) else { return Ok(None) };
-    let bar = |m: &Mark| m.spread.filter(|s| s.0.is_finite() && s.1.is_finite()).unwrap_or((m.x, m.x));
+    let bar =
+        |m: &Mark| m.spread.filter(|s| s.0.abs() <= FARTHEST && s.1.abs() <= FARTHEST).unwrap_or((m.x, m.x));
     let right = drawn.iter().fold(0.0f64, |r, (_, m)| r.max(m.x).max(bar(m).1));
-    let frame =
-        Frame { x: 0.0..if right > 0.0 { right * 1.08 } else { 1.0 }, y, x_label, y_label, right: 16 };
+    let frame = Frame { x: 0.0..axis_end(0.0, right * 1.08), y, x_label, y_label, right: 16 };
     draw(&frame, |area| {
         let mut labels = Vec::new();
         for (i, mark) in &drawn {
@@ -115,12 +119,12 @@ pub fn scatter(marks: &[Mark], x_label: &str, y_label: &str) -> Result<Option<St
             );
             area.draw(&line)?;
             area.draw(&Circle::new((mark.x, mark.y), 5 * SCALE, colour.filled()))?;
-            labels.push((*i, area.map_coordinate(&(mark.x, mark.y)), area.map_coordinate(&(high, mark.y)).0));
+            labels.push((*i, area.map_coordinate(&(mark.x, mark.y))));
         }
-        // Names stand above their points, and to the left where the right is the chart's edge.
-        let mut heights: Vec<i32> = labels.iter().map(|(_, pixel, _)| pixel.1 - 13 * SCALE).collect();
+        // Names stand above their points, moved left where they would pass the chart's edge.
+        let mut heights: Vec<i32> = labels.iter().map(|(_, pixel)| pixel.1 - 13 * SCALE).collect();
         spread_apart(&mut heights, (FONT + 2) * SCALE);
-        for ((i, (centre, _), _), height) in labels.into_iter().zip(heights) {
+        for ((i, (centre, _)), height) in labels.into_iter().zip(heights) {
             let name = shortened(&marks[i].name);
             let half = name.chars().count() as i32 * CHARACTER * SCALE / 2;
             let right = (SIZE.0 - 4) * SCALE - half;
@@ -138,7 +142,12 @@ pub fn as_file(svg: &str) -> String {
 }
 
 fn drawable(point: &(f64, f64)) -> bool {
-    point.0.is_finite() && point.1.is_finite() && point.1 > 0.0
+    point.0.abs() <= FARTHEST && point.1.is_finite() && point.1 > 0.0
+}
+
+/// `end` where an axis from `start` to there can be divided, otherwise one further than `start`.
+fn axis_end(start: f64, end: f64) -> f64 {
+    if end - start > SHORTEST { end } else { start + 1.0 }
 }
 
 fn shortened(name: &str) -> String {
@@ -169,12 +178,10 @@ fn log_ticks(range: &Range<f64>) -> Vec<f64> {
             decades.clone().step_by(step).flat_map(|d| mantissas.iter().map(move |m| m * 10f64.powi(d)));
         all.filter(|v| range.contains(v)).collect()
     };
-    let divisions: [&[f64]; 3] = [&[1.0], &[1.0, 3.0], &[1.0, 2.0, 5.0]];
-    let fine: Vec<f64> = (4..40).map(|n| f64::from(n) / 4.0).collect();
-    divisions.into_iter().map(of).find(|ticks| ticks.len() >= 3).unwrap_or_else(|| {
-        let ticks = of(&fine);
-        ticks.iter().copied().step_by((ticks.len() / 4).max(1)).collect()
-    })
+    let divisions: [&[f64]; 4] =
+        [&[1.0], &[1.0, 3.0], &[1.0, 2.0, 5.0], &[1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0]];
+    let finest = [1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0];
+    divisions.into_iter().map(of).find(|ticks| ticks.len() >= 3).unwrap_or_else(|| of(&finest))
 }
 
 /// Moves pixel heights apart until neighbours have `gap` between them, keeping their order and their centre.
@@ -210,8 +217,10 @@ type Coordinates = Cartesian2d<
 >;
 type Area<'a, 'b> = DrawingArea<SVGBackend<'a>, Coordinates>;
 
+/// Text at a pixel of the whole chart; plotters counts from the area's corner.
 fn write(area: &Area, name: &str, style: &TextStyle, at: (i32, i32)) -> std::result::Result<(), Failure> {
-    area.use_screen_coord().draw_text(name, style, at)
+    let (left, top) = area.get_base_pixel();
+    area.strip_coord_spec().draw_text(name, style, (at.0 - left, at.1 - top))
 }
 
 /// Axes and grid, then what `content` draws between them.
@@ -241,7 +250,7 @@ fn draw(frame: &Frame, content: impl FnOnce(&Area) -> std::result::Result<(), Fa
             .axis_desc_style(("sans-serif", FONT_SIZE).into_font().color(&INK))
             .x_desc(frame.x_label)
             .y_desc(frame.y_label)
-            .x_label_formatter(&|x| if thousands { format!("{}k", x / 1000.0) } else { format!("{x}") })
+            .x_label_formatter(&|x| if thousands { format!("{}k", x / 1e3) } else { format!("{x}") })
             .y_label_formatter(&|y| short(*y))
             .draw()?;
         content(chart.plotting_area())?;
@@ -281,6 +290,30 @@ mod tests {
         assert!(as_file(&svg).contains("xmlns"));
     }
 
+    /// Left and top of every text.
+    fn text_positions(svg: &str) -> Vec<(i32, i32)> {
+        let value = |tag: &str, name: &str| -> i32 {
+            tag.split_once(name).unwrap().1.split('"').next().unwrap().parse().unwrap()
+        };
+        let tags = svg.split("<text ").skip(1);
+        tags.map(|tag| (value(tag, "x=\""), value(tag, "y=\""))).collect()
+    }
+
+    #[test]
+    fn names_stand_on_the_chart() {
+        let far =
+            Mark { name: "the-longest-of-all-names".into(), x: 99.0, spread: Some((90.0, 100.0)), y: 1.0 };
+        let near = Mark { name: "b".into(), x: 0.0, spread: None, y: 1.01 };
+        let line = line("the-longest-of-all-names", &[(0.0, 1.0), (9.0, 2.0)]);
+        let charts = [scatter(&[far, near], "x", "y").unwrap(), curves(&[line], "x", "y").unwrap()];
+        for svg in charts.into_iter().flatten() {
+            assert!(svg.contains("the-longest-of-al\u{2026}"));
+            for (x, y) in text_positions(&svg) {
+                assert!((0..SIZE.0 * SCALE).contains(&x) && (0..=SIZE.1 * SCALE).contains(&y), "{x} {y}");
+            }
+        }
+    }
+
     #[test]
     fn marks_that_cannot_be_placed_are_left_out() {
         let mark = |name: &str, x, y| Mark { name: name.into(), x, spread: Some((x * 0.9, f64::NAN)), y };
@@ -290,18 +323,20 @@ mod tests {
         assert!(svg.contains("good") && !svg.contains("bad"));
         assert!(scatter(&[mark("zero", 0.0, 1.0)], "ns", "mse").unwrap().is_some());
         assert_eq!(scatter(&[mark("a", 1.0, 1e300)], "ns", "mse").unwrap(), None);
+        assert_eq!(scatter(&[mark("a", 1e300, 1.0)], "ns", "mse").unwrap(), None);
+        assert!(scatter(&[mark("tiny", 1e-310, 1.0)], "ns", "mse").unwrap().is_some());
     }
 
     #[test]
     fn ticks_are_round_few_and_inside() {
-        for (range, expected) in [
-            (0.9..1100.0, vec![1.0, 10.0, 100.0, 1000.0]),
-            (0.8..11.0, vec![1.0, 3.0, 10.0]),
-            (1.9..6.0, vec![2.0, 5.0]),
-        ] {
+        assert_eq!(log_ticks(&(0.9..1100.0)), [1.0, 10.0, 100.0, 1000.0]);
+        assert_eq!(log_ticks(&(2.7..9.5)), [3.0, 4.0, 5.0, 6.0, 8.0]);
+        for i in 0..200 {
+            let low = 1.03f64.powi(i - 100);
+            let range = log_range([low, low * 1.01f64.powi(i)].into_iter()).unwrap();
             let ticks = log_ticks(&range);
             assert!(ticks.iter().all(|t| range.contains(t)));
-            assert!((3..=9).contains(&ticks.len()) || ticks == expected, "{ticks:?}");
+            assert!((3..=8).contains(&ticks.len()), "{range:?}: {ticks:?}");
         }
         assert!(log_ticks(&(1e-60..1e60)).len() <= 20);
     }

@@ -1,7 +1,7 @@
 //! What `neumip demo` hands back: one self-contained page, and the same figures as JSON.
 //!
-//! [`html`] needs no other file, no script and no network; [`json`] keeps every number of the page and none of its
-//! pictures. Numbers that are not finite become `null`.
+//! [`html`] needs no other file, no script and no network; [`json`] keeps every number of the page and none
+//! of its pictures. Numbers that are not finite become `null`.
 
 mod colour;
 pub mod figures;
@@ -118,9 +118,9 @@ pub fn html(report: &Report) -> Result<String> {
     page::html(report)
 }
 
-/// The figures of the page: the fields of [`Report`] by name. A panel has its `title`, `caption`, `height`, `width`,
-/// `exposure_stops`, `difference_maximum` and, for each of its `answers`, `model`, `mse`, `mse_linear`, `mse_log1p`
-/// and `psnr` (`null` where it is unbounded).
+/// The figures of the page: the fields of [`Report`] by name. A panel has its `title`, `caption`, `height`,
+/// `width`, `exposure_stops`, `difference_maximum` and, for each of its `answers`, `model`, `mse`,
+/// `mse_linear`, `mse_log1p` and `psnr` (`null` where it is unbounded).
 ///
 /// # Errors
 /// As [`html`].

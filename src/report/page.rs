@@ -62,8 +62,9 @@ fn panels(panels: &[Panel]) -> Result<String> {
         return Ok(String::new());
     }
     let mut out = String::from("<h2>Pictures on held-out directions</h2>\n");
-    out += "<p class=\"note\">Differences are means over red, green and blue of linear values clamped to [0, 1]; \
-            mse is of the same values, \u{d7} 10\u{207b}\u{b3}. Cyan marks pixels that are not finite.</p>\n";
+    out += "<p class=\"note\">Differences are means over red, green and blue of linear values clamped to \
+            [0, 1]; mse is of the same values, \u{d7} 10\u{207b}\u{b3}. Cyan marks pixels that \
+            are not finite.</p>\n";
     for (i, panel) in panels.iter().enumerate() {
         out += &row(panel).map_err(|e| Error::config(format!("report.panels[{i}]"), e))?;
     }
@@ -169,6 +170,19 @@ fn least(values: impl Iterator<Item = f64>) -> f64 {
     values.filter(|v| v.is_finite()).fold(f64::NAN, f64::min)
 }
 
+const ERROR_COLUMNS: [&str; 10] = [
+    "split",
+    "level",
+    "model",
+    "#queries",
+    "#mse",
+    "#mse_linear",
+    "#mse_log1p",
+    "#psnr, dB",
+    "#ssim",
+    "#noise",
+];
+
 /// Rows of the same split and level, groups in order of their first row.
 fn groups(table: &[TableRow]) -> Vec<Vec<&TableRow>> {
     let mut groups: Vec<Vec<&TableRow>> = Vec::new();
@@ -186,22 +200,11 @@ fn errors(table: &[TableRow]) -> String {
         return String::new();
     }
     let mut out = String::from("<h2>Held-out errors</h2>\n<p class=\"note\">");
-    out += "mse: linear RGB, both clamped to [0, 1]. mse_linear: not clamped. mse_log1p: of ln(1 + x). All three and \
-            the noise \u{d7} 10\u{207b}\u{b3}. Noise is the mse that the reference's own sampling noise amounts to: no model \
-            can be seen to go below it. The best of each group is marked.</p>\n";
-    let columns = [
-        "split",
-        "level",
-        "model",
-        "#queries",
-        "#mse",
-        "#mse_linear",
-        "#mse_log1p",
-        "#psnr, dB",
-        "#ssim",
-        "#noise",
-    ];
-    out += &table_head(&columns);
+    out += "mse: linear RGB, both clamped to [0, 1]. mse_linear: not clamped. mse_log1p: of ln(1 + x). \
+            All three and the noise \u{d7} 10\u{207b}\u{b3}. Noise is the mse that the reference's own \
+            sampling noise amounts to: no model can be seen to go below it. The best of each group \
+            is marked.</p>\n";
+    out += &table_head(&ERROR_COLUMNS);
     for group in groups(table) {
         out += "<tbody>\n";
         for (i, row) in group.iter().enumerate() {
@@ -225,9 +228,8 @@ fn error_cells(row: &TableRow, group: &[&TableRow]) -> String {
         let best = rivals && of(row) == least(group.iter().map(|r| of(r)));
         out += &number(&bold_if(best, &significant(of(row) * MILLI)));
     }
-    for (of, digits) in
-        [(|r: &TableRow| r.psnr, 2), (|r: &TableRow| r.ssim, 3)] as [(fn(&TableRow) -> Option<f64>, usize); 2]
-    {
+    let higher_is_better: [fn(&TableRow) -> Option<f64>; 2] = [|r| r.psnr, |r| r.ssim];
+    for (of, digits) in higher_is_better.into_iter().zip([2, 3]) {
         let most = -least(group.iter().filter_map(|r| of(r)).map(|v| -v));
         let text = optional(of(row).filter(|v| v.is_finite()), |v| format!("{v:.digits$}"));
         out += &number(&bold_if(rivals && of(row) == Some(most), &text));
@@ -248,8 +250,8 @@ fn costs(report: &Report) -> Result<String> {
     let marks: Vec<figures::Mark> = report.costs.iter().map(mark).collect();
     let svg = figures::scatter(&marks, "nanoseconds a query", "held-out mse \u{d7} 10\u{207b}\u{b3}")?;
     let mut out = String::from("<h2>Error against time</h2>\n<p class=\"note\">");
-    out += "Time of the whole material, one thread: the median over the runs, bars and brackets from the fastest to the \
-            slowest. Lower left is better.</p>\n<div class=\"charts\">\n";
+    out += "Time of the whole material, one thread: the median over the runs, bars and brackets from the \
+            fastest to the slowest. Lower left is better.</p>\n<div class=\"charts\">\n";
     out += &chart(svg, "Error against nanoseconds a query");
     out += &table_head(&["model", "#ns a query", "#mse", "#weights", "#FLOP a query", "#size"]);
     out += "<tbody class=\"rows\">\n";

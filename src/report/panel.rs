@@ -58,7 +58,7 @@ impl Panel {
         if bright > 0.0 { (-bright.log2()).floor().clamp(0.0, MAX_STOPS) } else { 0.0 }
     }
 
-    /// The difference at which the colours saturate, the same for all answers: 1, 2 or 5 times a power of ten.
+    /// The difference at which colours saturate, the same for all answers: 1, 2 or 5 times a power of ten.
     pub(super) fn maximum(&self) -> f64 {
         let differences = self.answers.iter().flat_map(|(_, answer)| {
             answer.pixels.iter().zip(&self.reference.pixels).map(|(a, r)| picture::distance(*a, *r))

@@ -49,7 +49,8 @@ pub fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
     (channel(0) + channel(1) + channel(2)) / 3.0
 }
 
-/// [`distance`] of each pixel as a colour: dark violet at 0, pale yellow from `maximum` on, cyan if not finite.
+/// [`distance`] of each pixel as a colour: dark violet at 0, pale yellow from `maximum` on, cyan if not a
+/// number.
 ///
 /// # Errors
 /// `Config` if the shapes differ, as [`shape`], or if `maximum` is not positive.
@@ -106,8 +107,8 @@ pub fn strip(images: &[&RgbImage], stops: f32) -> Result<Vec<u8>> {
     strip_of(&pictures)
 }
 
-/// Pictures side by side with a thin transparent gap, as a PNG file. Lower ones are enlarged by the largest whole
-/// factor that fits the highest and stand at the top.
+/// Pictures side by side with a thin transparent gap, as a PNG file. Lower ones are enlarged by the largest
+/// whole factor that fits the highest and stand at the top.
 ///
 /// # Errors
 /// `Config` if there is no picture or the strip is wider than [`MAX_SIDE`].

@@ -1,10 +1,10 @@
-"""Evaluates a neumip bundle with onnxruntime, and checks it. Needs numpy and onnxruntime; onnx where installed.
+"""Evaluates and checks a neumip bundle with onnxruntime. Needs numpy and onnxruntime; onnx where installed.
 
     python neumip_onnx.py BUNDLE --check
     python neumip_onnx.py BUNDLE --queries QUERIES.json --out ANSWERS.json
 
-QUERIES is JSON or npz with arrays u, wi, wo [N, 2], level [N] and, to compare with, rgb [N, 3]. The exit status is 1
-where an answer is further off than the bundle's tolerance: |difference| > tolerance (1 + |rgb|).
+QUERIES is JSON or npz with arrays u, wi, wo [N, 2], level [N] and, to compare with, rgb [N, 3]. The exit
+status is 1 where an answer is further off than the bundle's tolerance: |difference| > tolerance (1 + |rgb|).
 """
 
 import argparse
@@ -36,7 +36,7 @@ class Bundle:
         return self.session.run(["rgb"], feeds)[0]
 
     def largest_difference(self, queries):
-        """Largest |difference| / (1 + |rgb|) between the graph's answers and those that come with the queries."""
+        """Largest |difference| / (1 + |rgb|) between the graph's answers and the given ones."""
         rgb = self.evaluate(*(queries[name] for name in INPUTS))
         return float(np.max(np.abs(rgb - queries["rgb"]) / (1 + np.abs(queries["rgb"]))))
 
@@ -50,7 +50,7 @@ def read_queries(path):
 
 
 def check_graphs(folder):
-    """Runs onnx.checker (full) and strict shape inference on both graphs; False where onnx is not installed."""
+    """Runs onnx.checker (full) and strict shape inference on both graphs; False where onnx is missing."""
     try:
         import onnx
     except ImportError:
@@ -66,7 +66,7 @@ def check_graphs(folder):
 
 
 def check(folder):
-    """Checks graphs and golden answers: {"checked": bool, "difference": float, "tolerance": float, "ok": bool}."""
+    """Checks graphs and golden answers. "checked": onnx was there; "ok": the answers are right."""
     bundle = Bundle(folder)
     tolerance = float(bundle.golden["tolerance"])
     difference = bundle.largest_difference(bundle.golden)

@@ -3,10 +3,10 @@
     from reference_numpy import evaluate
     rgb = evaluate("model.safetensors", u, wi, wo, level)
 
-u, wi, wo are [N, 2], level is [N]; the answer is [N, 3]. Four quantities are computed in 32-bit floats because small
-differences in them grow (the highest bands turn a rounding of p into 2^k pi times as much, and z near the horizon is a
-root of a difference): the wrapped u, p = 2 u - 1, x^2 + y^2 and z. Everything else is exact to 64 bits, so what a
-renderer's 32-bit floats cost shows as the difference.
+u, wi, wo are [N, 2], level is [N]; the answer is [N, 3]. Four quantities are computed in 32-bit floats
+because small differences in them grow (the highest bands turn a rounding of p into 2^k pi times as much, and
+z near the horizon is a root of a difference): the wrapped u, p = 2 u - 1, x^2 + y^2 and z. Everything else is
+in 64 bits, so what a renderer's 32-bit floats cost shows as the difference.
 """
 
 import json
@@ -61,8 +61,8 @@ class Material:
             shifted = shifted + 0.5 * depth * wo / np.maximum(wo_z, offset["min_z"])
 
         features = self.features(shifted, level)
-        y = self.network("decoder.mlp", np.concatenate([features, *self.encode(u, wi, wi_z, wo, wo_z, level)], 1))
-        rgb = self.colour(y)
+        encoded = self.encode(u, wi, wi_z, wo, wo_z, level)
+        rgb = self.colour(self.network("decoder.mlp", np.concatenate([features, *encoded], 1)))
         return np.where(wi_up & wo_up, np.maximum(rgb, 0), 0)
 
     def features(self, u, level):

@@ -200,7 +200,7 @@ impl Builder {
     }
 
     /// The integer part as 32-bit integers.
-    pub fn to_int32(&mut self, name: &str, a: &Value) -> Value {
+    pub fn int32_of(&mut self, name: &str, a: &Value) -> Value {
         self.node("Cast", name, &[a], &[("to", i64::from(proto::INT32))])
     }
 

@@ -1,10 +1,11 @@
 //! gamma(u), gamma(wi), gamma(wo) in double-angle form, all three side by side.
 //!
-//! A *lane* is one component of one input at the frequency of a restart, 2^(4 g). All lanes are range-reduced at once,
-//! one Sin and one Cos start them, and three doublings s' = 2 s c, c' = 1 - 2 s^2 give the bands between restarts.
-//! The result is therefore ordered by doubling and lane, not as [`crate::config`] orders the decoder's inputs; the
-//! first layer's columns are stored in the graph's order instead ([`Encoded::columns`]), with zeros where a lane ends
-//! before the last doubling. The amplitude of directions is in those columns too.
+//! A *lane* is one component of one input at the frequency of a restart, 2^(4 g). All lanes are range-reduced
+//! at once, one Sin and one Cos start them, and three doublings s' = 2 s c, c' = 1 - 2 s^2 give the bands
+//! between restarts. The result is therefore ordered by doubling and lane, not as [`crate::config`] orders
+//! the decoder's inputs; the first layer's columns are stored in the graph's order instead
+//! ([`Encoded::columns`]), with zeros where a lane ends before the last doubling. The amplitude of directions
+//! is in those columns too.
 
 use super::builder::{Builder, Value};
 use super::query::Direction;
@@ -173,8 +174,8 @@ fn waves(
     (sines, cosines)
 }
 
-/// exp(-(2^k pi s)^2 / 2) for u's lanes and 1 for the others, \[N, doublings * lanes\]. The footprint of 2^level texels,
-/// 2^level 2 / N wide in p, has standard deviation s = 2^level (2 / N) / sqrt(12).
+/// exp(-(2^k pi s)^2 / 2) for u's lanes and 1 for the others, \[N, doublings * lanes\]. The footprint of
+/// 2^level texels, 2^level 2 / N wide in p, has standard deviation s = 2^level (2 / N) / sqrt(12).
 fn attenuation(
     b: &mut Builder,
     architecture: &Architecture,

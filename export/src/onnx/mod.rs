@@ -1,7 +1,9 @@
-//! ONNX graphs of a checkpoint: `decoder.onnx` (the caller looks the textures up) and `material.onnx` (everything).
+//! ONNX graphs of a checkpoint: `decoder.onnx` (the caller looks the textures up) and `material.onnx`
+//! (everything).
 //!
-//! Opset 17 and IR version 8: the widest target, and the same nodes are valid from opset 13 on. The batch N is dynamic.
-//! Every input is read even where the answer does not depend on it, so that callers can always feed all of them.
+//! Opset 17 and IR version 8: the widest target, and the same nodes are valid from opset 13 on. The batch N
+//! is dynamic. Every input is read even where the answer does not depend on it, so that callers can always
+//! feed all of them.
 
 mod builder;
 mod encoding;
@@ -79,8 +81,8 @@ pub fn decoder_graph(checkpoint: &Checkpoint) -> Result<Vec<u8>> {
 /// `material.onnx`: u, wi, wo, level -> rgb.
 ///
 /// # Errors
-/// `Config`, naming the tensor or field of an invalid checkpoint, or saying that the textures exceed what an ONNX file
-/// can hold (2 GiB).
+/// `Config`, naming the tensor or field of an invalid checkpoint, or saying that the textures exceed the
+/// 2 GiB that an ONNX file can hold.
 pub fn material_graph(checkpoint: &Checkpoint) -> Result<Vec<u8>> {
     checkpoint.validate()?;
     let architecture = &checkpoint.header.architecture;

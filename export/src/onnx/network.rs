@@ -10,8 +10,8 @@ use crate::config::{
 };
 use crate::error::Result;
 
-/// relu(x W^T + b) layer by layer, the last one linear. `columns` says where the first layer's columns come from; absent:
-/// they are as stored.
+/// relu(x W^T + b) layer by layer, the last one linear. `columns` says where the first layer's columns come
+/// from; absent: they are as stored.
 fn mlp(
     b: &mut Builder,
     checkpoint: &Checkpoint,

@@ -47,7 +47,8 @@ pub fn clamped(b: &mut Builder, level: &Value, levels: usize) -> Value {
     b.clip("level", &level, 0.0, (levels - 1) as f32)
 }
 
-/// 0 \[N, 1\] made from a value \[N, columns\] that the answer does not depend on, so that every graph reads every input.
+/// 0 \[N, 1\] made from a value \[N, columns\] that the answer does not depend on, so that every graph reads
+/// every input.
 pub fn nothing_of(b: &mut Builder, name: &str, value: &Value) -> Value {
     b.scope("query");
     let zeros = b.clip(&format!("{name}.ignored"), value, 0.0, 0.0);

@@ -3,7 +3,7 @@
 use super::builder::{Builder, Value};
 use crate::config::LevelSize;
 
-/// The L levels that take part in a lookup, as \[N, L, 1\] or, where L is 1, as scalars.
+/// The L levels that take part in a lookup, as \[N, L\] or, where L is 1, as scalars.
 struct Levels {
     width: Value,
     height: Value,
@@ -13,16 +13,19 @@ struct Levels {
     mix: Option<(Value, Value)>,
 }
 
-/// One axis of a lookup, \[N, L, 2\].
+/// Two taps along one axis, \[N, L\] each.
 struct Axis {
     /// Wrapped texel indices.
-    taps: Value,
+    taps: [Value; 2],
     /// Their weights.
-    weights: Value,
+    weights: [Value; 2],
 }
 
-/// Looks a texture pyramid up: `u` \[N, 2\] and, where there are several levels, `level` \[N, 1\] within the pyramid.
-/// `table` is \[texels, C\], all levels row by row as in [`LevelSize::base`]. Returns \[N, C\].
+/// Looks a texture pyramid up: `u` \[N, 2\] and, where there are several levels, `level` \[N, 1\] within the
+/// pyramid. `table` is \[texels, C\], all levels row by row as in [`LevelSize::base`]. Returns \[N, C\].
+///
+/// All arithmetic is on \[N, L\]: broadcasting a short last axis costs onnxruntime more than the operation
+/// itself.
 pub fn lookup(b: &mut Builder, u: &Value, level: &Value, table: &Value, sizes: &[LevelSize]) -> Value {
     let levels = match sizes {
         [size] => Levels {
@@ -35,23 +38,23 @@ pub fn lookup(b: &mut Builder, u: &Value, level: &Value, table: &Value, sizes: &
     };
     let (column, row) = b.split("u", u, 1, 1);
     let x = axis(b, "x", &column, &levels.width);
-    let mut y = axis(b, "y", &row, &levels.height);
+    let y = axis(b, "y", &row, &levels.height);
 
-    // Texel = base + row * width + column, in integers: f32 counts to 2^24 only.
-    let mut rows = b.mul("rows", &y.taps, &levels.stride);
-    if let Some((base, weight)) = &levels.mix {
-        rows = b.add("rows.from_base", &rows, base);
-        y.weights = b.mul("y.weights.mixed", &y.weights, weight);
+    let (mut texels, mut weights) = (Vec::new(), Vec::new());
+    for (row, mut row_weight) in y.taps.iter().zip(y.weights) {
+        // Texel = base + row * width + column, in integers: f32 counts to 2^24 only.
+        let mut start = b.mul("row", row, &levels.stride);
+        if let Some((base, weight)) = &levels.mix {
+            start = b.add("row.from_base", &start, base);
+            row_weight = b.mul("row.weight", &row_weight, weight);
+        }
+        for (column, column_weight) in x.taps.iter().zip(&x.weights) {
+            texels.push(b.add("texel", &start, column));
+            weights.push(b.mul("weight", &row_weight, column_weight));
+        }
     }
-    let grid = |b: &mut Builder, name: &str, op: &str, y: &Value, x: &Value| {
-        let y = b.unsqueeze(&format!("{name}.y"), y, &[3]);
-        let x = b.unsqueeze(&format!("{name}.x"), x, &[2]);
-        let grid = b.node(op, &format!("{name}.grid"), &[&y, &x], &[]);
-        b.node("Flatten", name, &[&grid], &[("axis", 1)])
-    };
-    let texels = grid(b, "texels", "Add", &rows, &x.taps);
-    let weights = grid(b, "weights", "Mul", &y.weights, &x.weights);
-
+    let texels = b.concat("texels", &texels.iter().collect::<Vec<_>>(), 1);
+    let weights = b.concat("weights", &weights.iter().collect::<Vec<_>>(), 1);
     let values = b.gather("values", table, &texels);
     let weights = b.unsqueeze("weights.row", &weights, &[1]);
     let sum = b.node("MatMul", "sum", &[&weights, &values], &[]);
@@ -74,34 +77,30 @@ fn two_levels(b: &mut Builder, level: &Value, sizes: &[LevelSize]) -> Levels {
     let coarse = b.clip("level.coarse", &next, 0.0, (sizes.len() - 1) as f32);
     let fraction = b.sub("level.fraction", level, &fine);
     let rest = b.one_minus("level.rest", &fraction);
-    let mut stack = |name: &str, fine: &Value, coarse: &Value| {
-        let pair = b.concat(&format!("{name}.pair"), &[fine, coarse], 1);
-        b.unsqueeze(name, &pair, &[2])
-    };
-    let pair = stack("level.both", &fine, &coarse);
-    let weight = stack("level.weights", &rest, &fraction);
-    let pair = b.to_int32("level.index", &pair);
+    let pair = b.concat("level.pair", &[&fine, &coarse], 1);
+    let pair = b.int32_of("level.index", &pair);
+    let weight = b.concat("level.weights", &[&rest, &fraction], 1);
     let width = b.gather("width", &widths, &pair);
     let height = b.gather("height", &heights, &pair);
     let base = b.gather("base", &bases, &pair);
-    let stride = b.to_int32("stride", &width);
+    let stride = b.int32_of("stride", &width);
     Levels { width, height, stride, mix: Some((base, weight)) }
 }
 
 /// Taps and weights along one axis: `position` \[N, 1\] in tiles, `size` in texels.
 fn axis(b: &mut Builder, name: &str, position: &Value, size: &Value) -> Axis {
-    let position = b.unsqueeze(&format!("{name}.position"), position, &[2]);
-    let texels = b.mul(&format!("{name}.texels"), &position, size);
+    let texels = b.mul(&format!("{name}.texels"), position, size);
     let half = b.scalar(0.5);
     let centre = b.sub(&format!("{name}.centre"), &texels, &half);
     let first = b.floor(&format!("{name}.first"), &centre);
     let fraction = b.sub(&format!("{name}.fraction"), &centre, &first);
     let rest = b.one_minus(&format!("{name}.rest"), &fraction);
-    let weights = b.concat(&format!("{name}.weights"), &[&rest, &fraction], 2);
 
-    let steps = b.floats("taps", &[2], &[0.0, 1.0]);
-    let taps = b.add(&format!("{name}.unwrapped"), &first, &steps);
-    let wrapped = b.wrap(&format!("{name}.wrapped"), &taps, size);
-    let taps = b.to_int32(&format!("{name}.taps"), &wrapped);
-    Axis { taps, weights }
+    let first = b.wrap(&format!("{name}.first.wrapped"), &first, size);
+    let one = b.scalar(1.0);
+    let second = b.add(&format!("{name}.second"), &first, &one);
+    let second = b.wrap(&format!("{name}.second.wrapped"), &second, size);
+    let taps = [("first", first), ("second", second)]
+        .map(|(tap, value)| b.int32_of(&format!("{name}.{tap}.index"), &value));
+    Axis { taps, weights: [rest, fraction] }
 }

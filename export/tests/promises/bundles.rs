@@ -130,7 +130,8 @@ fn nothing_is_replaced_by_accident() {
 fn golden_answers_are_checked() {
     let (_, _, golden) = material(6);
     golden.validate().unwrap();
-    let changes: [(&str, fn(&mut Golden)); 5] = [
+    type Change = fn(&mut Golden);
+    let changes: [(&str, Change); 5] = [
         ("golden.tolerance", |g| g.tolerance = 0.0),
         ("golden.level", |g| g.level.truncate(9)),
         ("golden.rgb[3]", |g| g.rgb[3][1] = f32::NAN),

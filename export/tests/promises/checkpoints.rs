@@ -1,4 +1,5 @@
-//! A checkpoint comes back as it went, has the same bytes every time, and a damaged one is refused with a reason.
+//! A checkpoint comes back as it went, has the same bytes every time, and a damaged one is refused with a
+//! reason.
 
 use crate::materials;
 use neumip_export::{Checkpoint, Tensor, read_tensors, write_tensors};
@@ -144,7 +145,8 @@ fn invalid_checkpoints_are_not_written() {
     let good = sample();
     good.write(&path).unwrap();
     let before = std::fs::read(&path).unwrap();
-    let changes: [(&str, fn(&mut Checkpoint)); 4] = [
+    type Change = fn(&mut Checkpoint);
+    let changes: [(&str, Change); 4] = [
         ("tensor texture.level0: value 3 is inf", |c| {
             c.tensors.get_mut("texture.level0").unwrap().data[3] = f32::INFINITY;
         }),

@@ -154,8 +154,8 @@ pub fn cases() -> Vec<(&'static str, ModelConfig, [usize; 2])> {
     ]
 }
 
-/// A checkpoint with textures N(0, 0.3) and weights uniform in +-sqrt(6 / inputs), which keeps the variance through
-/// ReLU layers: with less, the answer would hardly depend on the query.
+/// A checkpoint with textures N(0, 0.3) and weights uniform in +-sqrt(6 / inputs), which keeps the variance
+/// through ReLU layers: with less, the answer would hardly depend on the query.
 pub fn checkpoint(model: &ModelConfig, resolution: [usize; 2], seed: u64) -> Checkpoint {
     let architecture = Architecture::new(model.clone(), resolution).unwrap();
     let mut numbers = Numbers::new(seed);

@@ -1,7 +1,7 @@
 //! The material written down once more, query by query in 64-bit floats, to compare the graphs with.
 //!
-//! Small differences in four quantities grow (a rounding of p by 2^k pi, one of z near the horizon by 1 / z), so those
-//! are taken in 32-bit floats as the format has them: the wrapped u, p, x^2 + y^2 and z.
+//! Small differences in four quantities grow (a rounding of p by 2^k pi, one of z near the horizon by 1 / z),
+//! so those are taken in 32-bit floats as the format has them: the wrapped u, p, x^2 + y^2 and z.
 
 use neumip_export::Checkpoint;
 use neumip_export::config::*;

@@ -29,9 +29,9 @@ const STEEL: [f64; 3] = [0.82, 0.80, 0.77];
 const BRASS: [f64; 3] = [0.91, 0.66, 0.30];
 /// Largest share of the tint.
 const MOST_BRASS: f64 = 1.0;
-/// Part of the wire's radius that is metal: what is left is a texel or so of dark edge, without which the walls below
+/// Part of the wire's radius that is metal: what is left is a dark edge of two texels of the default field, without which the walls below
 /// a wire, which a heightfield draws as steps, would glint.
-const BARE: f64 = 0.94;
+const BARE: f64 = 0.90;
 /// Roughness of rings, from and to.
 const RING_ROUGHNESS: [f64; 2] = [0.15, 0.25];
 /// Paint of the plate, and inside the holes.
