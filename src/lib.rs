@@ -30,6 +30,7 @@ pub mod kernels;
 pub mod loss;
 pub mod metrics;
 pub mod model;
+pub mod onnx_material;
 pub mod query;
 pub mod random;
 pub mod reference;

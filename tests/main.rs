@@ -1,1 +1,4 @@
-fn main(){}
+//! The promises of neumip, a file each.
+
+mod dataset;
+mod reference;

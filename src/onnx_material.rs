@@ -1,0 +1,54 @@
+//! An exported `material.onnx`, run in-process by an engine that is not ours (rten): what a bundle's graph really answers.
+
+use crate::error::{Error, Result};
+use crate::query::{QueryBuffer, Reflectance, RgbImage};
+use rten::{Model, Value, ValueOrView};
+use std::path::Path;
+
+/// A graph with inputs u, wi, wo \[N, 2\], level \[N\] and output rgb \[N, 3\].
+pub struct OnnxMaterial(Model);
+
+impl OnnxMaterial {
+    /// Loads a graph.
+    ///
+    /// # Errors
+    /// `File` if it cannot be read or is no graph that the engine runs.
+    pub fn open(path: &Path) -> Result<Self> {
+        let bytes = std::fs::read(path).map_err(|e| Error::file(path, format!("cannot be read: {e}")))?;
+        Ok(Self(Model::load(bytes).map_err(|e| Error::file(path, format!("not a graph that can be run: {e}")))?))
+    }
+}
+
+impl Reflectance for OnnxMaterial {
+    fn evaluate(&self, queries: &QueryBuffer) -> Result<RgbImage> {
+        let failed = |problem: &dyn std::fmt::Display| Error::config("material.onnx", problem);
+        let n = queries.len();
+        let feeds = [
+            ("u", vec![n, 2], queries.u.as_flattened()),
+            ("wi", vec![n, 2], queries.wi.as_flattened()),
+            ("wo", vec![n, 2], queries.wo.as_flattened()),
+            ("level", vec![n], &queries.level[..]),
+        ];
+        let mut inputs = Vec::new();
+        for (name, shape, data) in feeds {
+            let node = self.0.node_id(name).map_err(|e| failed(&e))?;
+            let value = Value::from_shape(&shape, data.to_vec()).map_err(|e| failed(&e))?;
+            inputs.push((node, ValueOrView::Value(value)));
+        }
+        let output = self.0.node_id("rgb").map_err(|e| failed(&e))?;
+        let [rgb] = self.0.run_n(inputs, [output], None).map_err(|e| failed(&e))?;
+        let (shape, data) = rgb.into_shape_vec::<f32, 2>().map_err(|e| failed(&e))?;
+        if shape != [n, 3] {
+            return Err(failed(&format!("answers with shape {shape:?} where [{n}, 3] was asked")));
+        }
+        let pixels = data.as_chunks::<3>().0.to_vec();
+        Ok(RgbImage { height: queries.height(), width: queries.width(), pixels })
+    }
+}
+
+/// Largest |difference| / (1 + |value|) between an answer and what was expected; NaN if any is.
+pub fn largest_difference(answer: &[[f32; 3]], expected: &[[f32; 3]]) -> f64 {
+    let error = |(a, e): (&f32, &f32)| f64::from((a - e).abs()) / (1.0 + f64::from(e.abs()));
+    // total_cmp puts NaN above everything: one cannot hide.
+    answer.as_flattened().iter().zip(expected.as_flattened()).map(error).max_by(f64::total_cmp).unwrap_or(0.0)
+}
