@@ -48,9 +48,7 @@ impl Cli {
     /// # Errors
     /// Whatever the command meets; [`Error::exit_code`] is the process's.
     pub fn run(self) -> Result<()> {
-        if let Some(threads) = self.threads {
-            use_threads(threads)?;
-        }
+        use_threads(self.threads)?;
         let console = console::Console::new(self.quiet);
         match self.command {
             Command::Demo(command) => command.run(&console),
@@ -63,14 +61,18 @@ impl Cli {
     }
 }
 
-fn use_threads(threads: usize) -> Result<()> {
-    if !(1..=1024).contains(&threads) {
+/// Sets the threads of rayon, over which every command spreads its work, and keeps candle to the thread that calls it: its
+/// own pool spins between operations that are smaller than ours and takes the cores from the other chunks.
+fn use_threads(threads: Option<usize>) -> Result<()> {
+    if let Some(threads) = threads.filter(|t| !(1..=1024).contains(t)) {
         return Err(Error::usage(format!("--threads {threads}: use 1 to 1024")));
     }
     // SAFETY: this runs before any other thread is started, so nothing reads the environment meanwhile.
     unsafe {
-        std::env::set_var("RAYON_NUM_THREADS", threads.to_string());
-        std::env::set_var("CANDLE_NUM_THREADS", threads.to_string());
+        std::env::set_var("CANDLE_NUM_THREADS", "1");
+        if let Some(threads) = threads {
+            std::env::set_var("RAYON_NUM_THREADS", threads.to_string());
+        }
     }
     Ok(())
 }

@@ -150,20 +150,44 @@ fn encode(
             out.extend_from_slice(&full[..config.components]);
         }
     };
+    // Neighbouring queries mostly share their level and directions: what follows from those is kept for the next one.
+    let mut attenuation = Remembered::default();
+    let (mut light, mut view) = (Remembered::default(), Remembered::default());
     let mut out = Vec::with_capacity(inputs * u.len());
     for (((&u, &wi), &wo), &level) in u.iter().zip(wi).zip(wo).zip(level) {
         let p = [2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0];
         if config.u.attenuate {
-            let sigma = [encoding::footprint_sigma(level, width), encoding::footprint_sigma(level, height)];
-            encoding::encode(&mut out, p, bands, config.pi, |k, d| encoding::attenuation(k, config.pi, sigma[d]));
+            let factors = attenuation.get([level, 0.0], |out| {
+                let sigma = [width, height].map(|texels| encoding::footprint_sigma(level, texels));
+                out.extend((0..2 * bands).map(|i| encoding::attenuation(i / 2, config.pi, sigma[i % 2])));
+            });
+            encoding::encode(&mut out, p, bands, config.pi, |k, d| factors[2 * k + d]);
         } else {
             encoding::encode(&mut out, p, bands, config.pi, |_, _| 1.0);
         }
         if config.u.raw {
             out.extend(p);
         }
-        direction(&mut out, wi, &config.wi);
-        direction(&mut out, wo, &config.wo);
+        out.extend_from_slice(light.get(wi, |out| direction(out, wi, &config.wi)));
+        out.extend_from_slice(view.get(wo, |out| direction(out, wo, &config.wo)));
     }
     Ok(Some(Tensor::from_vec(out, (u.len(), inputs), device)?))
+}
+
+/// The values that were computed for the last key.
+#[derive(Default)]
+struct Remembered {
+    key: Option<[f32; 2]>,
+    values: Vec<f32>,
+}
+
+impl Remembered {
+    fn get(&mut self, key: [f32; 2], fill: impl FnOnce(&mut Vec<f32>)) -> &[f32] {
+        if self.key != Some(key) {
+            self.key = Some(key);
+            self.values.clear();
+            fill(&mut self.values);
+        }
+        &self.values
+    }
 }

@@ -26,7 +26,7 @@ pub fn features(checkpoint: &Checkpoint, u: [f32; 2], wo: [f32; 2], level: f32) 
     a.iter().zip(&b).map(|(a, b)| (1.0 - fraction) * a + fraction * b).collect()
 }
 
-/// RGB from features.
+/// RGB from features: 0 below the horizon, never negative.
 pub fn decode(
     checkpoint: &Checkpoint,
     features: &[f64],
@@ -38,6 +38,18 @@ pub fn decode(
     if square(wi) >= 1.0 || square(wo) >= 1.0 {
         return [0.0; 3];
     }
+    colour(checkpoint, features, u, wi, wo, level).map(|x| x.max(0.0))
+}
+
+/// RGB from features as training sees it, not clamped.
+pub fn colour(
+    checkpoint: &Checkpoint,
+    features: &[f64],
+    u: [f32; 2],
+    wi: [f32; 2],
+    wo: [f32; 2],
+    level: f32,
+) -> [f64; 3] {
     let mut input = features.to_vec();
     input.extend(encoding(&checkpoint.header.architecture, u, wi, wo, level));
     let y = network(checkpoint, DECODER_MLP, input);
@@ -53,7 +65,7 @@ pub fn decode(
         if output.mask {
             x *= 0.1 + 1.0 / (1.0 + (-y[3 + c]).exp());
         }
-        x.max(0.0)
+        x
     })
 }
 

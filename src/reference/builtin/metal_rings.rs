@@ -33,7 +33,7 @@ const MOST_BRASS: f64 = 1.0;
 /// a wire, which a heightfield draws as steps, would glint.
 const BARE: f64 = 0.90;
 /// Roughness of rings, from and to.
-const RING_ROUGHNESS: [f64; 2] = [0.15, 0.25];
+const RING_ROUGHNESS: [f64; 2] = [0.3, 0.42];
 /// Paint of the plate, and inside the holes.
 const PLATE: [f64; 3] = [0.060, 0.068, 0.085];
 const PIT: [f64; 3] = [0.16, 0.045, 0.03];
