@@ -2,4 +2,7 @@
 
 mod dataset;
 mod model;
+mod onnx;
+mod python_environment;
 mod reference;
+mod training;

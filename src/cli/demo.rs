@@ -2,6 +2,7 @@
 
 use super::console::Console;
 use super::evaluate::Evaluation;
+use super::export::Written;
 use super::{evaluate, export, generate, train};
 use crate::config::{Budget, Config};
 use crate::dataset::{Block, Dataset, Existing, GenerateConfig, SplitName};
@@ -76,7 +77,7 @@ struct Model {
     name: &'static str,
     run: PathBuf,
     progress: Progress,
-    files: Vec<BundleFile>,
+    bundle: Option<Written>,
 }
 
 impl Demo {
@@ -103,13 +104,20 @@ impl Demo {
         console.say("[5/5] exporting");
         for model in &mut models {
             let out = self.out.join(format!("{}-bundle", model.name));
-            model.files = export::bundle(&checkpoint::load(&model.run)?, &out, true)?;
+            let bundle = export::bundle(&checkpoint::load(&model.run)?, &out, true)?;
+            console.say(format!("{}: graph within {:.1e} (1 + |value|) of the model", out.display(), bundle.difference));
+            model.bundle = Some(bundle);
         }
         let seconds = clock.elapsed().as_secs_f64();
         let report = self.report(&data, &models, &evaluations, [generated, seconds])?;
         let figures = report::json(&report)?;
         write_whole(&self.out.join("report.html"), report::html(&report)?.as_bytes())?;
         super::write_json(&self.out.join("report.json"), &figures)?;
+        if let Some(panel) = report.panels.last() {
+            let images: Vec<&RgbImage> =
+                std::iter::once(&panel.reference).chain(panel.answers.iter().map(|(_, image)| image)).collect();
+            write_whole(&self.out.join("picture.png"), &report::picture::strip(&images, 1.0)?)?;
+        }
         if let Some(path) = &self.json {
             super::write_json(path, &figures)?;
         }
@@ -163,7 +171,7 @@ impl Demo {
             Trainer::new(config, data, &run, false, MEMORY, &Device::Cpu)?
         };
         train::train(&mut trainer, name, console)?;
-        Ok(Model { name, run, progress: trainer.progress().clone(), files: Vec::new() })
+        Ok(Model { name, run, progress: trainer.progress().clone(), bundle: None })
     }
 
     fn report(
@@ -188,6 +196,12 @@ impl Demo {
         for model in models {
             let rate = super::console::short(model.progress.samples as f64 / model.progress.seconds, "samples");
             facts.push(fact(&format!("Training {}", model.name), format!("{:.0} s, {rate}/s", model.progress.seconds)));
+        }
+        for model in models {
+            if let Some(bundle) = &model.bundle {
+                let text = format!("within {:.1e} (1 + |value|)", bundle.difference);
+                facts.push(fact(&format!("ONNX graph {}", model.name), text));
+            }
         }
         facts.push(fact("Whole demo", format!("{seconds:.0} s")));
         Ok(Report {
@@ -363,5 +377,5 @@ fn exports(model: &Model) -> Vec<ExportRow> {
         bytes: f.bytes,
         what: what(&f.name).into(),
     };
-    model.files.iter().map(row).collect()
+    model.bundle.iter().flat_map(|b| &b.files).map(row).collect()
 }

@@ -1,0 +1,59 @@
+"""Compares a neumip bundle with the answers of the program that wrote it.
+
+    python check_bundle.py CONSUMERS BUNDLE QUERIES.json
+
+CONSUMERS is the folder of neumip_onnx.py and reference_numpy.py; QUERIES has arrays u, wi, wo [N, 2], level [N] and
+rgb [N, 3]. Both graphs have to pass onnx.checker. Prints one line of JSON: versions, and the largest
+|difference| / (1 + |rgb|) of
+
+    material   material.onnx in onnxruntime
+    decoder    decoder.onnx in onnxruntime, given the features that the reference looks up
+    reference  the numpy reference, from model.safetensors alone
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+
+def main(consumers, folder, queries):
+    sys.path.insert(0, consumers)
+    import onnx
+    import onnxruntime
+    from neumip_onnx import INPUTS, Bundle, check_graphs, read_queries
+    from reference_numpy import Material
+
+    class Recording(Material):
+        """Keeps the features that it looked up."""
+
+        def features(self, u, level):
+            self.looked_up = super().features(u, level)
+            return self.looked_up
+
+    if not check_graphs(folder):
+        raise RuntimeError("the graphs were not checked")
+    queries = read_queries(queries)
+    inputs = [queries[name] for name in INPUTS]
+    reference = Recording(Path(folder) / "model.safetensors")
+    answers = {"material": Bundle(folder).evaluate(*inputs), "reference": reference.evaluate(*inputs)}
+    decoder = onnxruntime.InferenceSession(
+        str(Path(folder) / "decoder.onnx"), providers=["CPUExecutionProvider"]
+    )
+    feeds = dict(zip(("features", *INPUTS), (reference.looked_up, *inputs)))
+    feeds = {name: np.ascontiguousarray(values, np.float32) for name, values in feeds.items()}
+    (answers["decoder"],) = decoder.run(["rgb"], feeds)
+
+    differences = {}
+    for name, rgb in answers.items():
+        if rgb.shape != queries["rgb"].shape:
+            raise RuntimeError(f"{name}: shape {rgb.shape} where {queries['rgb'].shape} was asked")
+        # A NaN comes through the maximum.
+        differences[name] = float(np.max(np.abs(rgb - queries["rgb"]) / (1 + np.abs(queries["rgb"]))))
+    versions = {module.__name__: module.__version__ for module in (np, onnx, onnxruntime)}
+    print(json.dumps({"queries": len(queries["rgb"]), "versions": versions, **differences}))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,267 @@
+//! Exported graphs answer as the model does, in engines that are not ours: in-process and in Python.
+
+use crate::python_environment;
+use candle_core::Device;
+use neumip::config::Config;
+use neumip::export::checkpoint::{FORMAT, Header};
+use neumip::export::config::{OFFSET_TEXTURE, ParallaxConfig};
+use neumip::export::{Architecture, Checkpoint, Golden, Measure, read_bundle, write_bundle};
+use neumip::golden::{self, TOLERANCE};
+use neumip::model::{NeuralMaterial, Variables};
+use neumip::onnx_material::{OnnxMaterial, largest_difference};
+use neumip::query::{QueryBuffer, Reflectance, above_horizon};
+use neumip::random::{Random, Stream};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+use tempfile::TempDir;
+
+/// Queries that a graph is compared on.
+const PROBES: usize = 16_384;
+/// Least of them that have to be lit and seen, so that zeros are not compared with zeros.
+const LEAST_LIT: usize = 8_000;
+/// What a twin changes an answer by: 50 times the tolerance.
+const CHANGED_ANSWER: f32 = 1e-3;
+/// What a twin changes a parameter by: a thousandth of the largest of its tensor is what a wrong conversion would cost.
+const CHANGED_PARAMETER: f32 = 1e-2;
+
+/// A checkpoint that was trained.
+fn trained() -> Checkpoint {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/tiny.safetensors");
+    let checkpoint = Checkpoint::read(&path).unwrap();
+    assert!(checkpoint.header.provenance["steps"].as_u64().unwrap() > 1000, "not trained");
+    checkpoint
+}
+
+/// A preset with fresh weights, and an offset texture that is not 0.
+fn untrained(preset: &str, settings: &[&str], resolution: [usize; 2]) -> Checkpoint {
+    let mut config = Config::preset(preset).unwrap();
+    for setting in settings {
+        config.set(setting).unwrap();
+    }
+    let architecture = Architecture::new(config.model, resolution).unwrap();
+    let mut tensors = Variables::initial(&architecture, 3, &Device::Cpu).unwrap().to_stored().unwrap();
+    if let ParallaxConfig::Offset(_) = architecture.model.parallax {
+        let mut random = Random::new(3, Stream::Probe, 0);
+        tensors.get_mut(OFFSET_TEXTURE).unwrap().data.fill_with(|| random.normal());
+    }
+    let header = Header {
+        format: FORMAT,
+        architecture,
+        height_range: [-0.1, 0.1],
+        measure: Measure::RadianceCosine,
+        material: preset.into(),
+        provenance: serde_json::Value::Null,
+        errors: serde_json::Value::Null,
+    };
+    Checkpoint { header, tensors }
+}
+
+/// The bundle of a checkpoint, in `bundle` of the folder.
+fn bundle(checkpoint: &Checkpoint) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let golden = golden::answers(checkpoint, golden::QUERIES).unwrap();
+    write_bundle(checkpoint, &golden, &folder.path().join("bundle"), false).unwrap();
+    folder
+}
+
+/// What candle answers.
+fn answers(checkpoint: &Checkpoint, queries: &QueryBuffer) -> Vec<[f32; 3]> {
+    let material = NeuralMaterial::from_checkpoint(checkpoint, &Device::Cpu).unwrap();
+    material.evaluate(queries).unwrap().pixels
+}
+
+/// What the exported graph answers in another engine.
+fn graph_answers(checkpoint: &Checkpoint, queries: &QueryBuffer) -> Vec<[f32; 3]> {
+    let folder = bundle(checkpoint);
+    let graph = OnnxMaterial::open(&folder.path().join("bundle/material.onnx")).unwrap();
+    graph.evaluate(queries).unwrap().pixels
+}
+
+fn probes(checkpoint: &Checkpoint) -> QueryBuffer {
+    golden::probes(PROBES, checkpoint.header.architecture.levels(), 7)
+}
+
+fn lit(rgb: &[[f32; 3]]) -> usize {
+    rgb.iter().filter(|p| p.iter().any(|v| *v > 0.0)).count()
+}
+
+#[test]
+fn probes_reach_every_edge_of_the_domain() {
+    let levels = 5;
+    let queries = golden::probes(PROBES, levels, 7);
+    let least = PROBES / 100;
+    let u = |test: fn(f32) -> bool| queries.u.iter().filter(|u| u.iter().any(|x| test(*x))).count();
+    let level = |test: &dyn Fn(f32) -> bool| queries.level.iter().filter(|l| test(**l)).count();
+    let grazing = |w: &&[f32; 2]| above_horizon(**w) && w[0].hypot(w[1]) > 0.99;
+    let below = |w: &&[f32; 2]| !above_horizon(**w);
+    for (edge, count) in [
+        ("negative u", u(|x| x < 0.0)),
+        ("u beyond a hundred tiles", u(|x| x.abs() > 100.0)),
+        ("u within the tile", u(|x| (0.0..1.0).contains(&x))),
+        ("level below 0", level(&|l| l < 0.0)),
+        ("level beyond the last", level(&|l| l > levels as f32 - 1.0)),
+        ("fractional level", level(&|l| l > 0.0 && l < levels as f32 - 1.0 && l.fract() != 0.0)),
+        ("whole level", level(&|l| l.fract() == 0.0)),
+        ("grazing light", queries.wi.iter().filter(grazing).count()),
+        ("grazing view", queries.wo.iter().filter(grazing).count()),
+        ("light below the horizon", queries.wi.iter().filter(below).count()),
+        ("view below the horizon", queries.wo.iter().filter(below).count()),
+    ] {
+        assert!(count > least, "{edge}: {count} of {PROBES}");
+    }
+}
+
+#[test]
+fn the_graph_of_a_trained_material_answers_as_the_model_does() {
+    let checkpoint = trained();
+    let queries = probes(&checkpoint);
+    let expected = answers(&checkpoint, &queries);
+    let difference = largest_difference(&graph_answers(&checkpoint, &queries), &expected);
+    println!("in-process, trained: {difference:.2e} on {PROBES} queries, {} of them lit", lit(&expected));
+    assert!(lit(&expected) > LEAST_LIT);
+    assert!(difference <= TOLERANCE, "{difference:e}");
+    for (k, (wi, wo)) in queries.wi.iter().zip(&queries.wo).enumerate() {
+        assert!((above_horizon(*wi) && above_horizon(*wo)) || expected[k] == [0.0; 3]);
+    }
+}
+
+#[test]
+fn one_changed_parameter_of_any_tensor_is_noticed() {
+    let checkpoint = trained();
+    let queries = probes(&checkpoint);
+    let expected = answers(&checkpoint, &queries);
+    for name in checkpoint.tensors.keys() {
+        let mut changed = checkpoint.clone();
+        let data = &mut changed.tensors.get_mut(name).unwrap().data;
+        // The largest one is surely in use; a small one may feed a neuron that never fires.
+        let largest = (0..data.len()).max_by(|&a, &b| data[a].abs().total_cmp(&data[b].abs())).unwrap();
+        data[largest] += CHANGED_PARAMETER;
+        let difference = largest_difference(&graph_answers(&changed, &queries), &expected);
+        println!("{name}[{largest}] changed: {difference:.2e}");
+        assert!(difference > TOLERANCE, "{name}: {difference:e}");
+    }
+}
+
+#[test]
+fn graphs_of_every_architecture_answer_as_the_model_does() {
+    let cases: [(&str, &[&str]); 6] = [
+        ("neumip", &["model.output.mask=true", "model.output.space=\"yuv\""]),
+        ("neumip", &["model.parallax={\"kind\":\"none\"}", "model.output.transform=\"identity\""]),
+        ("paper", &[]),
+        ("paper", &["model.encoding.pi=false", "model.encoding.components=3"]),
+        ("improved", &[]),
+        ("improved", &["model.encoding.u.raw=true", "model.texture.levels=1", "model.output.space=\"rgb\""]),
+    ];
+    for (preset, settings) in cases {
+        let checkpoint = untrained(preset, settings, [24, 40]);
+        let queries = probes(&checkpoint);
+        let expected = answers(&checkpoint, &queries);
+        let mut answer = graph_answers(&checkpoint, &queries);
+        let difference = largest_difference(&answer, &expected);
+        println!("in-process, {preset} {settings:?}: {difference:.2e}, {} lit", lit(&expected));
+        assert!(lit(&expected) > LEAST_LIT / 4, "{preset} {settings:?}: {} lit", lit(&expected));
+        assert!(difference <= TOLERANCE, "{preset} {settings:?}: {difference:e}");
+        answer[PROBES / 2][1] += CHANGED_ANSWER;
+        assert!(largest_difference(&answer, &expected) > TOLERANCE);
+    }
+}
+
+#[test]
+fn the_golden_file_is_what_candle_and_the_graph_answer() {
+    let checkpoint = trained();
+    let folder = bundle(&checkpoint);
+    let read = read_bundle(&folder.path().join("bundle")).unwrap();
+    assert_eq!(read.checkpoint, checkpoint);
+    assert_eq!(read.golden, golden::answers(&checkpoint, golden::QUERIES).unwrap());
+    let Golden { tolerance, u, wi, wo, level, rgb } = read.golden;
+    assert_eq!((tolerance, rgb.len()), (TOLERANCE, golden::QUERIES));
+    let queries = QueryBuffer::new(1, rgb.len(), u, wi, wo, level).unwrap();
+    let graph = OnnxMaterial::open(&folder.path().join("bundle/material.onnx")).unwrap();
+    let mut answer = graph.evaluate(&queries).unwrap().pixels;
+    assert!(largest_difference(&answer, &rgb) <= tolerance);
+    answer[10][2] += CHANGED_ANSWER;
+    assert!(largest_difference(&answer, &rgb) > tolerance);
+    answer[10][2] = f32::NAN;
+    assert!(largest_difference(&answer, &rgb).is_nan());
+}
+
+#[test]
+fn an_altered_file_of_a_bundle_is_refused_by_name() {
+    let checkpoint = trained();
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("bundle");
+    let golden = golden::answers(&checkpoint, golden::QUERIES).unwrap();
+    let files = write_bundle(&checkpoint, &golden, &out, false).unwrap();
+    for name in files.iter().map(|f| &f.name).filter(|name| *name != neumip::export::bundle::SIDECAR) {
+        let whole = std::fs::read(out.join(name)).unwrap();
+        let mut altered = whole.clone();
+        altered[whole.len() / 2] ^= 1;
+        std::fs::write(out.join(name), &altered).unwrap();
+        let error = read_bundle(&out).unwrap_err().to_string();
+        assert!(error.contains(name.as_str()) && error.contains("was altered"), "{name}: {error}");
+        std::fs::write(out.join(name), &whole).unwrap();
+    }
+    assert!(files.len() > 6);
+    read_bundle(&out).unwrap();
+}
+
+/// What `check_bundle.py` prints.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Checked {
+    queries: usize,
+    versions: BTreeMap<String, String>,
+    material: f64,
+    decoder: f64,
+    reference: f64,
+}
+
+/// Runs `check_bundle.py` on the bundle in `folder`.
+fn check_in_python(folder: &Path, queries: &Golden) -> Result<Checked, String> {
+    let file = folder.join("queries.json");
+    std::fs::write(&file, serde_json::to_vec(queries).unwrap()).unwrap();
+    let repository = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut command = python_environment::environment().script(&repository.join("tests/check_bundle.py"));
+    command.arg(repository.join("export/consumers/python")).arg(folder.join("bundle")).arg(file);
+    let output = command.output().unwrap();
+    if !output.status.success() {
+        return Err(String::from_utf8_lossy(&output.stderr).into_owned());
+    }
+    Ok(serde_json::from_slice(&output.stdout).unwrap())
+}
+
+#[test]
+fn onnxruntime_and_numpy_answer_as_the_model_does() {
+    let checkpoint = trained();
+    let folder = bundle(&checkpoint);
+    let mut expected = golden::answers(&checkpoint, PROBES).unwrap();
+    let checked = check_in_python(folder.path(), &expected).unwrap();
+    println!("in Python: {checked:?}");
+    assert_eq!(checked.queries, PROBES);
+    for difference in [checked.material, checked.decoder, checked.reference] {
+        assert!(difference <= TOLERANCE, "{checked:?}");
+    }
+
+    expected.rgb[PROBES / 2][0] += CHANGED_ANSWER;
+    let checked = check_in_python(folder.path(), &expected).unwrap();
+    for difference in [checked.material, checked.decoder, checked.reference] {
+        assert!(difference > TOLERANCE, "{checked:?}");
+    }
+}
+
+#[test]
+fn the_checker_in_python_refuses_a_graph_that_is_none() {
+    let checkpoint = trained();
+    for graph in ["decoder.onnx", "material.onnx"] {
+        let folder = bundle(&checkpoint);
+        let path = folder.path().join("bundle").join(graph);
+        let mut bytes = std::fs::read(&path).unwrap();
+        let relu = bytes.windows(4).position(|w| w == b"Relu").unwrap();
+        bytes[relu..relu + 4].copy_from_slice(b"Rely");
+        std::fs::write(&path, bytes).unwrap();
+        let golden = golden::answers(&checkpoint, golden::QUERIES).unwrap();
+        let problem = check_in_python(folder.path(), &golden).unwrap_err();
+        assert!(problem.contains("Rely"), "{problem}");
+    }
+}
