@@ -22,6 +22,10 @@ use std::path::{Path, PathBuf};
 
 const STATE_KEY: &str = "neumip-state";
 const STATE_SUFFIX: &str = ".state.safetensors";
+const CHECKPOINT_SUFFIX: &str = ".safetensors";
+const RECORD: &str = "run.json";
+const BEST: &str = "best.safetensors";
+const HISTORY: &str = "history.json";
 /// Version of `run.json` and of the state file.
 const FORMAT: u32 = 1;
 
@@ -71,26 +75,37 @@ struct StateHeader {
 }
 
 impl RunFolder {
-    /// Makes the folder. An existing one is refused, or replaced with `force`.
+    /// Makes the folder. An existing one is refused; with `force` a run's files are removed from it and no others.
     ///
     /// # Errors
     /// `File` if it exists or cannot be made.
     pub fn create(path: &Path, record: &RunRecord, force: bool) -> Result<Self> {
+        let this = Self { path: path.to_path_buf() };
         if path.exists() {
             if !force {
-                return Err(Error::file(path, "exists; choose another --out, --resume it, or replace it with --force"));
+                return Err(Error::file(
+                    path,
+                    "exists; choose another --out, --resume it, or replace it with --force",
+                ));
             }
-            let is_run = path.join("run.json").is_file();
-            let is_empty = std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none());
-            if !is_run && !is_empty {
-                return Err(Error::file(path, "is not a run's folder; --force replaces only those"));
+            let foreign = this.names()?.into_iter().find(|name| !is_ours(name));
+            if let Some(name) = foreign.filter(|_| !this.holds_a_record()) {
+                let problem = format!("is not a run's folder, it holds {name}; --force replaces only runs");
+                return Err(Error::file(path, problem));
             }
-            std::fs::remove_dir_all(path).map_err(|e| Error::file(path, format!("cannot be replaced: {e}")))?;
+            // The record goes last: until then the folder is a run's and can be replaced again.
+            this.remove(|name| is_ours(name) && name != RECORD)?;
         }
         std::fs::create_dir_all(path).map_err(|e| Error::file(path, format!("cannot be made: {e}")))?;
-        let this = Self { path: path.to_path_buf() };
-        this.write_json("run.json", record)?;
+        this.write_json(RECORD, record)?;
         Ok(this)
+    }
+
+    /// True if `run.json` is a run's; other programs have files of that name.
+    fn holds_a_record(&self) -> bool {
+        let text = std::fs::read_to_string(self.path.join(RECORD)).unwrap_or_default();
+        let record: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
+        ["format", "config", "data", "memory"].iter().all(|field| record.get(field).is_some())
     }
 
     /// An existing run.
@@ -98,14 +113,15 @@ impl RunFolder {
     /// # Errors
     /// `File` if it is not a run's folder or of an unknown version.
     pub fn open(path: &Path) -> Result<(Self, RunRecord)> {
-        let file = path.join("run.json");
+        let file = path.join(RECORD);
         let text = std::fs::read_to_string(&file)
             .map_err(|e| Error::file(&file, format!("cannot be read: {e}; is this a run's folder?")))?;
-        let record: RunRecord =
-            serde_json::from_str(&text).map_err(|e| Error::file(&file, format!("not a run's record: {e}")))?;
+        let record: RunRecord = serde_json::from_str(&text)
+            .map_err(|e| Error::file(&file, format!("not a run's record: {e}")))?;
         if record.format != FORMAT {
             return Err(Error::file(file, format!("format {}; this program reads {FORMAT}", record.format)));
         }
+        record.config.train.validate().map_err(|e| Error::file(&file, e))?;
         Ok((Self { path: path.to_path_buf() }, record))
     }
 
@@ -129,7 +145,7 @@ impl RunFolder {
     /// # Errors
     /// `File` if it cannot be written.
     pub fn save_best(&self, checkpoint: &Checkpoint) -> Result<()> {
-        Ok(checkpoint.write(&self.path.join("best.safetensors"))?)
+        Ok(checkpoint.write(&self.path.join(BEST))?)
     }
 
     /// Writes a checkpoint and state of one generation, then removes older ones.
@@ -142,12 +158,9 @@ impl RunFolder {
         let json = serde_json::to_string(&header).map_err(|e| Error::file(&self.path, e))?;
         checkpoint.write(&self.checkpoint_path(state.generation))?;
         write_tensors(&self.state_path(state.generation), STATE_KEY, &json, &state.tensors)?;
-        for generation in self.generations()?.into_iter().filter(|g| *g != state.generation) {
-            for path in [self.state_path(generation), self.checkpoint_path(generation)] {
-                std::fs::remove_file(&path).map_err(|e| Error::file(&path, format!("cannot be removed: {e}")))?;
-            }
-        }
-        Ok(())
+        // What a killed run left half done goes too.
+        let kept = format!("{}.", generation_stem(state.generation));
+        self.remove(|name| is_part(name) || (generation_of(name).is_some() && !name.starts_with(&kept)))
     }
 
     /// The newest matching pair's state.
@@ -183,7 +196,7 @@ impl RunFolder {
     /// # Errors
     /// `File` if there is none.
     pub fn answering_checkpoint(&self) -> Result<PathBuf> {
-        let best = self.path.join("best.safetensors");
+        let best = self.path.join(BEST);
         if best.is_file() {
             return Ok(best);
         }
@@ -195,23 +208,57 @@ impl RunFolder {
 
     /// Generations with both files.
     fn generations(&self) -> Result<Vec<u64>> {
-        let entries =
-            std::fs::read_dir(&self.path).map_err(|e| Error::file(&self.path, format!("cannot be read: {e}")))?;
-        let generation = |name: &str| name.strip_prefix("last-")?.strip_suffix(STATE_SUFFIX)?.parse::<u64>().ok();
-        Ok(entries
-            .flatten()
-            .filter_map(|entry| generation(entry.file_name().to_str()?))
+        let names = self.names()?;
+        let states = names.iter().filter(|name| name.ends_with(STATE_SUFFIX));
+        Ok(states
+            .filter_map(|name| generation_of(name))
             .filter(|g| self.checkpoint_path(*g).is_file())
             .collect())
     }
 
+    /// Names of what is in the folder.
+    fn names(&self) -> Result<Vec<String>> {
+        let entries = std::fs::read_dir(&self.path)
+            .map_err(|e| Error::file(&self.path, format!("cannot be read: {e}")))?;
+        Ok(entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()).collect())
+    }
+
+    /// Removes the files whose names are chosen.
+    fn remove(&self, chosen: impl Fn(&str) -> bool) -> Result<()> {
+        for name in self.names()?.iter().filter(|name| chosen(name)) {
+            let path = self.path.join(name);
+            std::fs::remove_file(&path).map_err(|e| Error::file(&path, format!("cannot be removed: {e}")))?;
+        }
+        Ok(())
+    }
+
     fn checkpoint_path(&self, generation: u64) -> PathBuf {
-        self.path.join(format!("last-{generation:09}.safetensors"))
+        self.path.join(format!("{}{CHECKPOINT_SUFFIX}", generation_stem(generation)))
     }
 
     fn state_path(&self, generation: u64) -> PathBuf {
-        self.path.join(format!("last-{generation:09}{STATE_SUFFIX}"))
+        self.path.join(format!("{}{STATE_SUFFIX}", generation_stem(generation)))
     }
+}
+
+fn generation_stem(generation: u64) -> String {
+    format!("last-{generation:09}")
+}
+
+/// The generation of a checkpoint's or state's name.
+fn generation_of(name: &str) -> Option<u64> {
+    let rest = name.strip_prefix("last-")?;
+    rest.strip_suffix(STATE_SUFFIX).or(rest.strip_suffix(CHECKPOINT_SUFFIX))?.parse().ok()
+}
+
+/// True for a temporary sibling that a killed run left.
+fn is_part(name: &str) -> bool {
+    name.starts_with(neumip_export::whole_file::PART)
+}
+
+/// True for the names that a run's files have.
+fn is_ours(name: &str) -> bool {
+    [RECORD, BEST, HISTORY].contains(&name) || generation_of(name).is_some() || is_part(name)
 }
 
 /// Reads the checkpoint that a path means: a checkpoint file, or a run's folder.

@@ -15,7 +15,17 @@ impl OnnxMaterial {
     /// `File` if it cannot be read or is no graph that the engine runs.
     pub fn open(path: &Path) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(|e| Error::file(path, format!("cannot be read: {e}")))?;
-        Ok(Self(Model::load(bytes).map_err(|e| Error::file(path, format!("not a graph that can be run: {e}")))?))
+        Self::from_bytes(path, bytes)
+    }
+
+    /// Loads a graph from memory; `path` names it in errors.
+    ///
+    /// # Errors
+    /// `File` if it is no graph that the engine runs.
+    pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self> {
+        Ok(Self(
+            Model::load(bytes).map_err(|e| Error::file(path, format!("not a graph that can be run: {e}")))?,
+        ))
     }
 }
 

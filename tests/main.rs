@@ -1,6 +1,7 @@
 //! The promises of neumip, a file each.
 
 mod dataset;
+mod demo;
 mod model;
 mod onnx;
 mod python_environment;

@@ -72,7 +72,9 @@ fn identify(interpreter: &OsStr) -> Result<String, String> {
     let advice = format!("install Python 3.10 or newer, or name an interpreter in {INTERPRETER}");
     match run(interpreter, &["-c", "import sys; print(sys.executable, sys.version)"]) {
         Ok(output) if output.status.success() => Ok(String::from_utf8_lossy(&output.stdout).into_owned()),
-        Ok(output) => Err(format!("the Python interpreter {name} does not work: {}; {advice}", said(&output))),
+        Ok(output) => {
+            Err(format!("the Python interpreter {name} does not work: {}; {advice}", said(&output)))
+        }
         Err(e) => Err(format!("the Python interpreter {name} cannot be run: {e}; {advice}")),
     }
 }
@@ -88,7 +90,8 @@ fn make(
     let spawn = |program: &OsStr, arguments: &[&OsStr]| {
         run(program, arguments).map_err(|e| format!("{} cannot be run: {e}", program.display()))
     };
-    let mut install: Vec<OsString> = ["-m", "pip", "install", "--quiet", "--no-input"].map(OsString::from).into();
+    let mut install: Vec<OsString> =
+        ["-m", "pip", "install", "--quiet", "--no-input"].map(OsString::from).into();
     install.push("--disable-pip-version-check".into());
     let mut program = own_program.as_os_str();
     let venv = spawn(interpreter, &["-m".as_ref(), "venv".as_ref(), environment.as_ref()])?;
@@ -158,7 +161,10 @@ esac
             let stage = Self(tempfile::tempdir().unwrap());
             // Written by another process: a file that any thread of this one has open to write cannot be run.
             let mut shell = Command::new("sh");
-            shell.args(["-c", r#"cat > "$0" && chmod +x "$0""#]).arg(stage.interpreter()).stdin(Stdio::piped());
+            shell
+                .args(["-c", r#"cat > "$0" && chmod +x "$0""#])
+                .arg(stage.interpreter())
+                .stdin(Stdio::piped());
             let mut shell = shell.spawn().unwrap();
             let script = SCRIPT.replace("HERE", stage.0.path().to_str().unwrap());
             shell.stdin.take().unwrap().write_all(script.as_bytes()).unwrap();
@@ -222,7 +228,10 @@ esac
             assert!(packages.ends_with("made/environment/packages"));
             let command = python.script(Path::new("some.py"));
             assert!(command.get_envs().any(|e| e == (OsStr::new("PYTHONPATH"), Some(packages.as_os_str()))));
-            assert_eq!(stage.calls("-m pip install --quiet --no-input --disable-pip-version-check --target"), 1);
+            assert_eq!(
+                stage.calls("-m pip install --quiet --no-input --disable-pip-version-check --target"),
+                1
+            );
         }
         stage.without("pip");
         let problem = stage.prepare(&["a<3"]).unwrap_err();
@@ -233,6 +242,9 @@ esac
     fn a_missing_interpreter_is_named() {
         let folder = tempfile::tempdir().unwrap();
         let problem = prepare(folder.path(), OsStr::new("no-such-python"), &[]).unwrap_err();
-        assert!(problem.contains("no-such-python cannot be run") && problem.contains(INTERPRETER), "{problem}");
+        assert!(
+            problem.contains("no-such-python cannot be run") && problem.contains(INTERPRETER),
+            "{problem}"
+        );
     }
 }

@@ -68,6 +68,9 @@ pub fn write_bundle(
     golden.validate()?;
     let replaces = may_replace(out, force)?;
 
+    let parent = parent_of(out);
+    std::fs::create_dir_all(&parent)
+        .map_err(|e| Error::file(out, format!("cannot be written: {}: {e}", parent.display())))?;
     let folder = sibling_folder(out)?;
     let mut files = Vec::new();
     let mut add = |name: &str, bytes: &[u8]| {
@@ -129,9 +132,32 @@ fn may_replace(out: &Path, force: bool) -> Result<bool> {
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(false),
         Err(e) => Err(Error::file(out, format!("cannot be written: {e}"))),
         Ok(_) if !force => Err(Error::file(out, "exists: choose another folder, or force to replace it")),
-        Ok(about) if about.is_dir() && out.join(SIDECAR).is_file() => Ok(true),
-        Ok(_) => Err(Error::file(out, format!("is not a bundle (it has no {SIDECAR}) and is left alone"))),
+        Ok(about) if about.is_dir() => match foreign_part(out)? {
+            None => Ok(true),
+            Some(problem) => Err(Error::file(out, format!("is left alone: {problem}"))),
+        },
+        Ok(_) => Err(Error::file(out, "is left alone: it is a file, not a bundle")),
     }
+}
+
+/// What of a folder is not a bundle's. The description alone proves nothing: textures that people download come with a
+/// material.json too.
+fn foreign_part(folder: &Path) -> Result<Option<String>> {
+    #[derive(Deserialize)]
+    struct Listing {
+        files: Vec<BundleFile>,
+    }
+    let no_bundle = || Ok(Some(format!("it is not a bundle (it has no {SIDECAR} of one)")));
+    let Ok(json) = read_small(&folder.join(SIDECAR)) else { return no_bundle() };
+    let Ok(listing) = serde_json::from_slice::<Listing>(&json) else { return no_bundle() };
+    let failed = |e: std::io::Error| Error::file(folder, format!("cannot be listed: {e}"));
+    for entry in std::fs::read_dir(folder).map_err(failed)? {
+        let name = entry.map_err(failed)?.file_name();
+        if name != SIDECAR && !listing.files.iter().any(|file| name == file.name.as_str()) {
+            return Ok(Some(format!("{} is not of the bundle; move it away", name.display())));
+        }
+    }
+    Ok(None)
 }
 
 /// Renames the finished folder to `out`; an older one is moved aside first and comes back if that fails.

@@ -5,6 +5,9 @@ use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+/// How the names of temporary siblings start; a killed program can leave one behind.
+pub const PART: &str = ".neumip-";
+
 /// Writes `bytes` to `path`; a reader sees the old file or the new one, never a part.
 ///
 /// # Errors
@@ -12,7 +15,7 @@ use std::path::{Path, PathBuf};
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
     let parent = parent_of(path);
     let failed = |e: std::io::Error| Error::file(path, format!("cannot be written: {e}"));
-    let mut file = builder(0o666).tempfile_in(&parent).map_err(failed)?;
+    let mut file = builder(0o666).tempfile_in(&parent).map_err(|e| failed(plain(&e)))?;
     file.write_all(bytes).map_err(failed)?;
     file.as_file().sync_all().map_err(failed)?;
     file.persist(path).map_err(|e| failed(e.error))?;
@@ -24,7 +27,12 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
 pub(crate) fn sibling_folder(path: &Path) -> Result<tempfile::TempDir> {
     builder(0o777)
         .tempdir_in(parent_of(path))
-        .map_err(|e| Error::file(path, format!("cannot be written: {e}")))
+        .map_err(|e| Error::file(path, format!("cannot be written: {}", plain(&e))))
+}
+
+/// The error without the random temporary name, which would say nothing to the reader.
+fn plain(error: &std::io::Error) -> std::io::Error {
+    std::io::Error::from(error.kind())
 }
 
 /// The folder that holds `path`.
@@ -47,7 +55,7 @@ pub(crate) fn sync_folder(folder: &Path) {
 /// umask.
 fn builder(mode: u32) -> tempfile::Builder<'static, 'static> {
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".neumip-");
+    builder.prefix(PART);
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;

@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -41,10 +41,26 @@ impl Console {
         Self { quiet }
     }
 
-    /// One line of information.
+    /// One line of information. The work goes on where nobody reads it any more.
     pub fn say(&self, line: impl AsRef<str>) {
         if !self.quiet {
-            println!("{}", line.as_ref());
+            let _ = print(line.as_ref());
+        }
+    }
+
+    /// Prints what the command was asked for.
+    ///
+    /// # Errors
+    /// `File` if it cannot be written; a reader that has read enough is no error.
+    pub fn answer(&self, text: impl AsRef<str>) -> Result<()> {
+        if self.quiet {
+            return Ok(());
+        }
+        match print(text.as_ref()) {
+            Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
+                Err(Error::file("standard output", format!("cannot be written: {e}")))
+            }
+            _ => Ok(()),
         }
     }
 
@@ -105,7 +121,7 @@ impl Meter {
             self.last_line = Instant::now();
             let left = (self.total.saturating_sub(done)) as f64 / rate.max(1e-9);
             let percent = 100.0 * done as f64 / self.total.max(1) as f64;
-            println!("{}: {percent:.0} %, {message}, {left:.0} s left", self.label);
+            let _ = print(&format!("{}: {percent:.0} %, {message}, {left:.0} s left", self.label));
         }
     }
 
@@ -116,6 +132,13 @@ impl Meter {
         }
         self.rate(done)
     }
+}
+
+/// Prints a line; `println!` would panic where the reader of a pipe has gone.
+fn print(line: &str) -> std::io::Result<()> {
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{line}")?;
+    out.flush()
 }
 
 /// A rate with its unit: `2.31 M samples`.

@@ -11,9 +11,14 @@ use clap::Args;
 use serde::Serialize;
 use std::path::PathBuf;
 
+/// Most queries of a timed round: their answers fit any memory that trains.
+const MAX_QUERIES: usize = 1 << 24;
+
 /// Error per split and level, and time per query, of one or more trained models side by side.
 #[derive(Debug, Args)]
-#[command(after_help = "Example: neumip evaluate runs/neumip runs/improved --data data/metal --json errors.json")]
+#[command(
+    after_help = "Example: neumip evaluate runs/neumip runs/improved --data data/metal --json errors.json"
+)]
 pub struct Evaluate {
     /// Runs' folders or checkpoints.
     #[arg(required = true)]
@@ -66,6 +71,10 @@ pub struct Evaluation {
 impl Evaluate {
     /// Runs the command.
     pub fn run(self, console: &Console) -> Result<()> {
+        super::check_json(self.json.as_deref())?;
+        if !(1..=MAX_QUERIES).contains(&self.queries) {
+            return Err(Error::usage(format!("--queries {}: use 1 to {MAX_QUERIES}", self.queries)));
+        }
         let data = Dataset::open(&self.data)?;
         let splits = if self.splits.is_empty() {
             data.split_names().into_iter().filter(|s| *s != SplitName::Train).collect()
@@ -74,11 +83,10 @@ impl Evaluate {
         };
         let evaluations =
             evaluate(&self.runs, &data, &splits, &self.device, [self.queries, self.rounds], console)?;
-        console.say(text_table(&evaluations));
-        match &self.json {
-            Some(path) => super::write_json(path, &evaluations),
-            None => Ok(()),
+        if let Some(path) = &self.json {
+            super::write_json(path, &evaluations)?;
         }
+        console.answer(text_table(&evaluations))
     }
 }
 
@@ -150,7 +158,10 @@ pub fn text_table(evaluations: &[Evaluation]) -> String {
     let mut out = String::new();
     for (k, e) in evaluations.iter().enumerate() {
         let cost = e.cost.map_or(String::new(), |c| {
-            format!(", {:.0} ns a query ({:.0} to {:.0}, one thread, {})", c.ns_per_query, c.ns_low, c.ns_high, e.engine)
+            format!(
+                ", {:.0} ns a query ({:.0} to {:.0}, one thread, {})",
+                c.ns_per_query, c.ns_low, c.ns_high, e.engine
+            )
         });
         let samples = e.samples_per_texel.map_or(String::new(), |s| format!(", {s:.0} samples a texel"));
         out += &format!(

@@ -7,7 +7,7 @@ use crate::query::{QueryBuffer, Reflectance};
 use crate::{checkpoint, golden};
 use clap::Args;
 use neumip_export::bundle::MATERIAL;
-use neumip_export::{BundleFile, Checkpoint, write_bundle};
+use neumip_export::{BundleFile, Checkpoint, Golden, onnx, write_bundle};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -31,11 +31,15 @@ pub struct Export {
 impl Export {
     /// Runs the command.
     pub fn run(self, console: &Console) -> Result<()> {
+        super::check_json(self.json.as_deref())?;
         let bundle = bundle(&checkpoint::load(&self.run)?, &self.out, self.force)?;
         for file in &bundle.files {
             console.say(format!("{:>10}  {}", file.bytes, self.out.join(&file.name).display()));
         }
-        console.say(format!("material.onnx answers within {:.1e} (1 + |value|) of the model", bundle.difference));
+        console.say(format!(
+            "material.onnx answers within {:.1e} (1 + |value|) of the model",
+            bundle.difference
+        ));
         match &self.json {
             Some(path) => super::write_json(path, &bundle),
             None => Ok(()),
@@ -52,18 +56,22 @@ pub struct Written {
     pub difference: f64,
 }
 
-/// Writes the bundle of a checkpoint with its golden answers, and checks its graph with an engine that is not ours.
+/// Writes the bundle of a checkpoint with its golden answers, once an engine that is not ours gives the same from its graph.
 pub fn bundle(checkpoint: &Checkpoint, out: &Path, force: bool) -> Result<Written> {
     let golden = golden::answers(checkpoint, golden::QUERIES)?;
-    let files = write_bundle(checkpoint, &golden, out, force)?;
-    let graph = out.join(MATERIAL);
-    let n = golden.level.len();
-    let queries = QueryBuffer::new(1, n, golden.u, golden.wi, golden.wo, golden.level)?;
-    let answers = OnnxMaterial::open(&graph)?.evaluate(&queries)?.pixels;
-    let difference = largest_difference(&answers, &golden.rgb);
-    if difference.is_nan() || difference > golden.tolerance {
-        let problem = format!("answers differ by {difference:.1e} (1 + |value|), more than {:.0e}", golden.tolerance);
-        return Err(Error::file(graph, problem));
+    let difference = difference(checkpoint, &golden, &out.join(MATERIAL))?;
+    Ok(Written { files: write_bundle(checkpoint, &golden, out, force)?, difference })
+}
+
+/// Runs the graph that is about to be written as `path`.
+fn difference(checkpoint: &Checkpoint, golden: &Golden, path: &Path) -> Result<f64> {
+    let graph = OnnxMaterial::from_bytes(path, onnx::material_graph(checkpoint)?)?;
+    let Golden { u, wi, wo, level, rgb, tolerance } = golden.clone();
+    let queries = QueryBuffer::new(1, level.len(), u, wi, wo, level)?;
+    let difference = largest_difference(&graph.evaluate(&queries)?.pixels, &rgb);
+    if difference.is_nan() || difference > tolerance {
+        let problem = format!("would answer {difference:.1e} (1 + |value|) off, more than {tolerance:.0e}");
+        return Err(Error::file(path, problem));
     }
-    Ok(Written { files, difference })
+    Ok(difference)
 }

@@ -64,6 +64,7 @@ pub struct Generate {
 impl Generate {
     /// Runs the command.
     pub fn run(self, console: &Console) -> Result<()> {
+        super::check_json(self.json.as_deref())?;
         let mut config = GenerateConfig::new(self.resolution);
         config.regime = self.regime;
         config.samples = self.samples.unwrap_or(config.samples);
@@ -111,7 +112,9 @@ pub fn dataset(
     generate(&reference, config, out, existing, &mut |progress| {
         done = progress.done;
         meter
-            .get_or_insert_with(|| console.meter(format!("generate {}", reference.name()), progress.total, "samples"))
+            .get_or_insert_with(|| {
+                console.meter(format!("generate {}", reference.name()), progress.total, "samples")
+            })
             .update(progress.done, progress.split);
         console.flow()
     })

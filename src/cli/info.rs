@@ -25,11 +25,10 @@ impl Info {
     pub fn run(self, console: &Console) -> Result<()> {
         let value = describe(&self.path)?;
         let text = serde_json::to_string_pretty(&value).map_err(|e| Error::file(&self.path, e))?;
-        console.say(text);
-        match &self.json {
-            Some(path) => super::write_json(path, &value),
-            None => Ok(()),
+        if let Some(path) = &self.json {
+            super::write_json(path, &value)?;
         }
+        console.answer(text)
     }
 }
 

@@ -77,6 +77,21 @@ fn use_threads(threads: Option<usize>) -> Result<()> {
     Ok(())
 }
 
+/// Refuses a `--json` that could only fail once the work is done.
+fn check_json(path: Option<&Path>) -> Result<()> {
+    let Some(path) = path else {
+        return Ok(());
+    };
+    let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if path.is_dir() || path.file_name().is_none() {
+        return Err(Error::file(path, "is a folder; --json takes the name of a file"));
+    }
+    if !parent.is_dir() {
+        return Err(Error::file(path, format!("cannot be written: {} is no folder", parent.display())));
+    }
+    Ok(())
+}
+
 /// Writes a JSON file whole.
 fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
     let text = serde_json::to_string_pretty(value).map_err(|e| Error::file(path, e))?;

@@ -68,6 +68,7 @@ pub struct Train {
 impl Train {
     /// Runs the command.
     pub fn run(self, console: &Console) -> Result<()> {
+        super::check_json(self.json.as_deref())?;
         let data = Dataset::open(&self.data)?;
         if !data.manifest().complete {
             console.say(format!("note: {} is incomplete; training on what it holds", self.data.display()));

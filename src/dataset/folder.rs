@@ -3,9 +3,6 @@
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
-/// How the temporary siblings of `neumip_export::whole_file` start; a killed run can leave one behind.
-const PART: &str = ".neumip-";
-
 /// Writes a file that is there whole or not at all; returns its length.
 pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<u64> {
     neumip_export::whole_file::write_whole(path, bytes)?;
@@ -47,7 +44,7 @@ pub(crate) fn name_of(path: &Path) -> &str {
 
 /// True for what a killed run can leave behind.
 pub(crate) fn is_part(name: &str) -> bool {
-    name.starts_with(PART)
+    name.starts_with(neumip_export::whole_file::PART)
 }
 
 /// Removes those of the paths whose names are chosen, the one called `first` before all others.

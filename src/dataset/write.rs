@@ -60,7 +60,13 @@ impl Writer {
                     let problem = "holds a dataset already: resume it or force its replacement";
                     return Err(Error::file(root, problem));
                 }
-                Existing::Replace => remove(&present, MANIFEST, is_ours)?,
+                Existing::Replace if is_replaceable(root, all(&is_ours)) => {
+                    remove(&present, MANIFEST, is_ours)?;
+                }
+                Existing::Replace => {
+                    let problem = format!("its {MANIFEST} is not of a dataset of ours: name another folder");
+                    return Err(Error::file(root, problem));
+                }
                 Existing::Resume => this.take_over()?,
             }
         } else if existing == Existing::Replace && all(&is_ours) {
@@ -281,6 +287,16 @@ fn is_ours(name: &str) -> bool {
         || is_part(name)
         || (name.starts_with("views-") && name.ends_with(".exr"))
         || SplitName::ALL.into_iter().any(of_split)
+}
+
+/// True if the description in a folder is of this program, of any version, or damaged among nothing but files `all_ours`:
+/// other programs have a `dataset.json` too.
+fn is_replaceable(root: &Path, all_ours: bool) -> bool {
+    let text = std::fs::read(root.join(MANIFEST)).unwrap_or_default();
+    serde_json::from_slice::<serde_json::Value>(&text).map_or(all_ours, |value| {
+        let generator = value.get("generator").and_then(serde_json::Value::as_str);
+        value.get("format").is_some() && generator.is_some_and(|g| g.starts_with("neumip"))
+    })
 }
 
 fn count_levels(layouts: &[&Layout]) -> Vec<usize> {

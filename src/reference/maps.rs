@@ -19,6 +19,8 @@ use std::path::{Path, PathBuf};
 
 /// Largest material.json that is read, in bytes.
 const MAX_JSON_BYTES: u64 = 1 << 20;
+/// Longest name, which is carried into every file that is made of the material.
+const MAX_NAME_BYTES: usize = 256;
 
 /// material.json.
 #[derive(Debug, Deserialize)]
@@ -71,19 +73,24 @@ fn glass() -> Scalar {
 /// not finite, a data map whose channels differ, or a displacement that leaves [`MAX_DEPTH`].
 pub fn read(path: &Path) -> Result<Material> {
     let mut text = String::new();
-    let file = std::fs::File::open(path).map_err(|e| Error::file(path, e))?;
-    file.take(MAX_JSON_BYTES + 1).read_to_string(&mut text).map_err(|e| Error::file(path, e))?;
+    let unreadable = |e: std::io::Error| Error::file(path, format!("cannot be read as a material: {e}"));
+    let file = std::fs::File::open(path).map_err(unreadable)?;
+    file.take(MAX_JSON_BYTES + 1).read_to_string(&mut text).map_err(unreadable)?;
     if text.len() as u64 > MAX_JSON_BYTES {
         return Err(Error::file(
             path,
             format!("is longer than the {MAX_JSON_BYTES} bytes of a material.json"),
         ));
     }
-    let file: MaterialFile = serde_json::from_str(&text).map_err(|e| Error::file(path, e))?;
+    let file: MaterialFile =
+        serde_json::from_str(&text).map_err(|e| Error::file(path, format!("is not a material: {e}")))?;
     if file.version != 1 {
         return Err(Error::file(path, format!("version is {}; this program reads version 1", file.version)));
     }
     let mut reader = Reader { path, notes: Vec::new() };
+    if file.name.is_empty() || file.name.len() > MAX_NAME_BYTES || file.name.chars().any(char::is_control) {
+        return Err(reader.refuse("name", format!("must be one line of 1 to {MAX_NAME_BYTES} bytes")));
+    }
     let height = reader.height(&file)?;
     let base_colour = reader.colour("base_colour", &file.base_colour)?;
     let roughness = reader.share("roughness", &file.roughness)?;
