@@ -106,6 +106,7 @@ fn make(
                 said(&venv)
             ));
         }
+        fs::create_dir_all(packages).map_err(|e| format!("{}: cannot be made: {e}", packages.display()))?;
         program = interpreter;
         install.extend(["--target".into(), packages.into()]);
     }

@@ -85,13 +85,13 @@ fn test_psnr(run: &Path, data: &Dataset) -> f64 {
 
 #[test]
 fn a_small_material_is_learned_and_not_without_a_learning_rate() {
-    /// Held-out PSNR, dB: measured 33 to 37 over presets and seeds after 600 steps; a constant answer has 17.
-    const LEARNED: f64 = 29.0;
+    /// Held-out PSNR, dB, between what 500 steps reach (23 to 29 over presets) and an untrained model (12).
+    const LEARNED: f64 = 19.0;
     let folder = tempfile::tempdir().unwrap();
     let data = data(folder.path());
     for preset in ["neumip", "paper", "improved"] {
         for (rate, learned) in [(3e-3, true), (1e-7, false)] {
-            let mut config = config(preset, 600);
+            let mut config = config(preset, 500);
             config.train.learning_rate.peak = rate;
             config.train.smoothing = None;
             if preset == "paper" {

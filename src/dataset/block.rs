@@ -104,9 +104,9 @@ impl Layout {
         let even = |a: usize, b: usize| a.is_multiple_of(b) || b.is_multiple_of(a);
         if side == 0 || !self.side.is_multiple_of(side) || !even(self.patch, side) {
             return Err(Error::config(
-                "piece_side",
+                "train.piece",
                 format!(
-                    "{side} does not cut blocks of side {} with patches of side {} into whole pieces",
+                    "{side} does not cut blocks of side {0} with patches of side {1} into whole pieces; {0} does",
                     self.side, self.patch
                 ),
             ));

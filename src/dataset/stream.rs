@@ -129,7 +129,7 @@ impl Stream {
         let epoch_pieces = split.info().blocks() as u64 * pieces_per_block as u64;
         if epoch_pieces > u64::from(u32::MAX) {
             return Err(Error::config(
-                "piece_side",
+                "train.piece",
                 format!("{epoch_pieces} pieces are more than can be ordered"),
             ));
         }

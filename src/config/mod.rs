@@ -1,5 +1,11 @@
 //! How a model is trained: the structs behind a preset's `train` object, the command line and the run's record.
 
+mod schedule;
+mod stages;
+
+pub use schedule::{AdamConfig, Blend, Budget, Decay, LearningRate, Smoothing};
+pub use stages::{Plateau, Remap, Stage, StagePlan, Term, TermKind};
+
 use crate::error::{Error, Result};
 use neumip_export::config::ModelConfig;
 use serde::{Deserialize, Serialize};
@@ -47,223 +53,6 @@ pub struct TrainConfig {
     pub validations: usize,
 }
 
-/// When training ends.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Budget {
-    /// Optimiser steps.
-    Steps(u64),
-    /// Samples presented.
-    Samples(u64),
-    /// Minutes of training; the one budget whose result depends on the machine.
-    Minutes(f64),
-}
-
-/// Learning rate over the run: `peak`, after a linear rise over `warmup`, falling along `decay`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LearningRate {
-    /// Highest value.
-    pub peak: f64,
-    /// Share of the run in which it rises from 0.
-    pub warmup: f64,
-    /// How it falls afterwards.
-    pub decay: Decay,
-}
-
-/// Decay of the learning rate.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
-pub enum Decay {
-    /// None.
-    Constant {},
-    /// Half a cosine down to `floor` times the peak.
-    Cosine {
-        /// Share of the peak that is left at the end.
-        floor: f64,
-    },
-    /// Exponentially down to `floor` times the peak.
-    Exponential {
-        /// Share of the peak that is left at the end.
-        floor: f64,
-    },
-}
-
-impl LearningRate {
-    /// The rate when a share `fraction` of the run is done.
-    pub fn at(&self, fraction: f64) -> f64 {
-        if fraction < self.warmup {
-            return self.peak * (fraction / self.warmup).max(1e-3);
-        }
-        let t = ((fraction - self.warmup) / (1.0 - self.warmup)).clamp(0.0, 1.0);
-        self.peak
-            * match self.decay {
-                Decay::Constant {} => 1.0,
-                Decay::Cosine { floor } => floor + (1.0 - floor) * 0.5 * (1.0 + (std::f64::consts::PI * t).cos()),
-                Decay::Exponential { floor } => floor.powf(t),
-            }
-    }
-}
-
-/// Adam (Kingma and Ba 2015).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct AdamConfig {
-    /// Decay of the first moment.
-    pub beta1: f64,
-    /// Decay of the second moment.
-    pub beta2: f64,
-    /// Added to the root of the second moment.
-    pub epsilon: f64,
-}
-
-/// Gaussian through which every texture is read while training (NeuMIP's code):
-/// sigma(t) = max(minimum, start * start^(-rate t)) texels for t in \[0, 1\] of the run; level l uses sigma / 2^l.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Smoothing {
-    /// Texels at the start.
-    pub start: f64,
-    /// Decades of `start` over the run: 3 in NeuMIP, 0.3 in the improved method's code.
-    pub rate: f64,
-    /// Least sigma, texels.
-    pub minimum: f64,
-    /// A level whose sigma is under this is read as it is.
-    pub skip_below: f64,
-    /// Least sigma of the offset texture, texels.
-    pub offset_minimum: f64,
-}
-
-impl Smoothing {
-    /// sigma in texels of level 0 when a share `fraction` of the run is done.
-    pub fn sigma(&self, fraction: f64) -> f64 {
-        (self.start * self.start.powf(-self.rate * fraction)).max(self.minimum)
-    }
-}
-
-/// Blending of the stored pyramid towards its own blur, early in the run (NeuMIP's code).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Blend {
-    /// Share of the run in which it happens.
-    pub until: f64,
-    /// Share of the run between two blends.
-    pub every: f64,
-    /// Weight of the blur.
-    pub amount: f64,
-    /// Its sigma in texels of the level.
-    pub sigma: f64,
-}
-
-/// Losses over the run: a named schedule or a list of stages.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
-pub enum StagePlan {
-    /// `s1`, `s2` or `s3` of the authors' code.
-    Named(String),
-    /// In order.
-    List(Vec<Stage>),
-}
-
-/// One stage.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Stage {
-    /// Share of the run after which the next stage begins; the last stage lasts to the end.
-    pub share: f64,
-    /// Ends the stage earlier, when validation stops improving.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub plateau: Option<Plateau>,
-    /// Terms that are added up.
-    pub terms: Vec<Term>,
-}
-
-/// The adaptive criterion.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Plateau {
-    /// Validations without improvement that end the stage.
-    pub patience: usize,
-    /// Relative improvement that counts.
-    pub improvement: f64,
-}
-
-/// One weighted term of the loss.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Term {
-    /// What is compared.
-    pub kind: TermKind,
-    /// Applied to prediction and target first.
-    pub remap: Remap,
-    /// Factor.
-    pub weight: f64,
-}
-
-/// What a term compares.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum TermKind {
-    /// Mean absolute difference.
-    L1,
-    /// Mean squared difference; with remap `log` NeuMIP's MSE of log1p.
-    L2,
-    /// Squared difference of Sobel-x and Sobel-y responses, RGB (paper, equation 1).
-    Gradient,
-    /// Absolute difference of half-strength Sobel responses of luma (authors' code).
-    GradientLuma,
-}
-
-/// Output remapping (paper, section 3.2).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Remap {
-    /// x.
-    Linear,
-    /// x^(1/4) as printed: not a number below 0, infinite slope at 0.
-    Root4Literal,
-    /// max(x, 1e-7)^(1/4) (authors' code).
-    Root4Guarded,
-    /// sign(x) ((|x| + epsilon)^(1/4) - epsilon^(1/4)).
-    Root4Signed(f64),
-    /// sign(x) ((|x| + epsilon)^(1/2) - epsilon^(1/2)).
-    Sqrt(f64),
-    /// ln(1 + max(x, -0.1)).
-    Log,
-}
-
-/// epsilon of the square root in the named schedules: the slope at 0 stays under 16.
-const NAMED_SQRT_EPSILON: f64 = 1e-3;
-
-impl StagePlan {
-    /// The list of stages.
-    ///
-    /// # Errors
-    /// `Config` if the name is unknown.
-    pub fn resolve(&self) -> Result<Vec<Stage>> {
-        let name = match self {
-            Self::List(list) => return Ok(list.clone()),
-            Self::Named(name) => name.as_str(),
-        };
-        use Remap::{Linear, Root4Guarded, Sqrt};
-        let l1 = |remap| Term { kind: TermKind::L1, remap, weight: 1.0 };
-        let gradient = |remap| Term { kind: TermKind::GradientLuma, remap, weight: 1.0 };
-        let stage = |share, terms| Stage { share, plateau: None, terms };
-        let both = |remap| vec![l1(remap), gradient(remap)];
-        let root = Sqrt(NAMED_SQRT_EPSILON);
-        match name {
-            "s1" => Ok(vec![
-                stage(0.25, vec![l1(Root4Guarded)]),
-                stage(0.5, both(Linear)),
-                stage(0.25, both(root)),
-            ]),
-            "s2" => Ok(vec![stage(0.5, vec![l1(Root4Guarded)]), stage(0.5, both(Linear))]),
-            "s3" => Ok(vec![stage(0.25, vec![l1(Root4Guarded)]), stage(0.75, both(Root4Guarded))]),
-            _ => Err(Error::config("train.stages", format!("{name:?} is no schedule: use s1, s2, s3 or a list"))),
-        }
-    }
-}
-
 /// Names of the built-in presets.
 pub const PRESETS: [&str; 3] = ["neumip", "paper", "improved"];
 
@@ -274,9 +63,9 @@ impl Config {
     /// `Usage` for an unknown name, `File` for an unreadable or malformed file.
     pub fn preset(name: &str) -> Result<Self> {
         let text = match name {
-            "neumip" => include_str!("presets/neumip.json").to_string(),
-            "paper" => include_str!("presets/paper.json").to_string(),
-            "improved" => include_str!("presets/improved.json").to_string(),
+            "neumip" => include_str!("../presets/neumip.json").to_string(),
+            "paper" => include_str!("../presets/paper.json").to_string(),
+            "improved" => include_str!("../presets/improved.json").to_string(),
             path if path.ends_with(".json") => {
                 std::fs::read_to_string(path).map_err(|e| Error::file(path, format!("cannot read preset: {e}")))?
             }
@@ -372,25 +161,7 @@ impl TrainConfig {
         if stages.is_empty() {
             return fail("stages", "at least one stage is needed".into());
         }
-        for (i, stage) in stages.iter().enumerate() {
-            if !(stage.share > 0.0 && stage.share <= 1.0) {
-                return fail(&format!("stages[{i}].share"), format!("{} is not in (0, 1]", stage.share));
-            }
-            if stage.terms.is_empty() {
-                return fail(&format!("stages[{i}].terms"), "at least one term is needed".into());
-            }
-            for (j, term) in stage.terms.iter().enumerate() {
-                if !finite_positive(term.weight) {
-                    return fail(&format!("stages[{i}].terms[{j}].weight"), format!("{} is not positive", term.weight));
-                }
-                if let Remap::Root4Signed(e) | Remap::Sqrt(e) = term.remap
-                    && !finite_positive(e)
-                {
-                    return fail(&format!("stages[{i}].terms[{j}].remap"), format!("epsilon {e} is not positive"));
-                }
-            }
-        }
-        Ok(())
+        stages.iter().enumerate().try_for_each(|(i, stage)| stage.validate(&format!("train.stages[{i}]")))
     }
 }
 
