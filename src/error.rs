@@ -41,18 +41,12 @@ pub type Result<T> = std::result::Result<T, Error>;
 impl Error {
     /// An error about a file.
     pub fn file(path: impl AsRef<Path>, problem: impl std::fmt::Display) -> Self {
-        Self::File {
-            path: path.as_ref().to_path_buf(),
-            problem: problem.to_string(),
-        }
+        Self::File { path: path.as_ref().to_path_buf(), problem: problem.to_string() }
     }
 
     /// An error about a configuration field.
     pub fn config(field: impl Into<String>, problem: impl std::fmt::Display) -> Self {
-        Self::Config {
-            field: field.into(),
-            problem: problem.to_string(),
-        }
+        Self::Config { field: field.into(), problem: problem.to_string() }
     }
 
     /// An error about the call.

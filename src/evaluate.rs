@@ -139,7 +139,12 @@ pub struct Cost {
 ///
 /// # Errors
 /// What an answerer reports.
-pub fn costs(answerers: &[&dyn Reflectance], levels: usize, queries: usize, rounds: usize) -> Result<Vec<Cost>> {
+pub fn costs(
+    answerers: &[&dyn Reflectance],
+    levels: usize,
+    queries: usize,
+    rounds: usize,
+) -> Result<Vec<Cost>> {
     let queries = random_queries(queries, levels, 1);
     let pool = ThreadPoolBuilder::new()
         .num_threads(1)

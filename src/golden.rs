@@ -27,7 +27,10 @@ pub fn probes(n: usize, levels: usize, seed: u64) -> QueryBuffer {
         match k % 8 {
             1 => queries.u[k] = queries.u[k].map(|u| 20.0 * u - 10.0),
             2 => queries.u[k] = queries.u[k].map(|u| 2000.0 * u - 1000.0),
-            3 => queries.level[k] = (last + 3.0) * random.uniform() * if random.uniform() < 0.5 { -1.0 } else { 1.5 },
+            3 => {
+                queries.level[k] =
+                    (last + 3.0) * random.uniform() * if random.uniform() < 0.5 { -1.0 } else { 1.5 }
+            }
             4 => queries.level[k] = queries.level[k].round(),
             5 => (queries.wi[k], queries.wo[k]) = (grazing(&mut random), grazing(&mut random)),
             6 => {

@@ -64,12 +64,7 @@ impl QueryBuffer {
     pub fn slice(height: usize, width: usize, wi: [f32; 2], wo: [f32; 2], level: f32) -> Self {
         let n = height * width;
         let u = (0..n)
-            .map(|k| {
-                [
-                    ((k % width) as f32 + 0.5) / width as f32,
-                    ((k / width) as f32 + 0.5) / height as f32,
-                ]
-            })
+            .map(|k| [((k % width) as f32 + 0.5) / width as f32, ((k / width) as f32 + 0.5) / height as f32])
             .collect();
         Self { height, width, u, wi: vec![wi; n], wo: vec![wo; n], level: vec![level; n] }
     }

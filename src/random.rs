@@ -44,10 +44,7 @@ impl Random {
     /// The generator of item `index` of the `part`-th part of a stream.
     pub fn sub_stream(seed: u64, stream: Stream, part: u64, index: u64) -> Self {
         let key = hash(hash(seed) ^ hash((stream as u64) << 32 | part));
-        let mut this = Self {
-            state: hash(key ^ hash(index)),
-            increment: hash(key) | 1,
-        };
+        let mut this = Self { state: hash(key ^ hash(index)), increment: hash(key) | 1 };
         this.next_u32();
         this
     }
@@ -55,9 +52,7 @@ impl Random {
     /// 32 uniform bits.
     pub fn next_u32(&mut self) -> u32 {
         let old = self.state;
-        self.state = old
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(self.increment);
+        self.state = old.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(self.increment);
         let xorshifted = (((old >> 18) ^ old) >> 27) as u32;
         xorshifted.rotate_right((old >> 59) as u32)
     }

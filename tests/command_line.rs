@@ -201,7 +201,11 @@ fn bad_materials_are_refused() {
     }
     refused(
         folder,
-        &[(&line("file"), 1, &["file"]), (&line("sand"), 2, &["sand", "rocks"]), (&line("no.json"), 2, &["no.json"])],
+        &[
+            (&line("file"), 1, &["file"]),
+            (&line("sand"), 2, &["sand", "rocks"]),
+            (&line("no.json"), 2, &["no.json"]),
+        ],
     );
     succeed(folder, &line("good"));
 }
@@ -330,8 +334,16 @@ fn damaged_datasets_are_refused() {
         ("lost", |d| std::fs::remove_file(d.join("grazing-00000.exr")).unwrap(), &["grazing-00000.exr"]),
         ("later", |d| describe(d, |m| m["format"] = json!(99)), &["dataset.json", "99"]),
         ("other", |d| describe(d, |m| m["colour"] = json!(1)), &["dataset.json", "colour"]),
-        ("empty", |d| describe(d, |m| m["splits"]["train"]["files"] = json!([])), &["dataset.json", "no training data"]),
-        ("huge", |d| describe(d, |m| m["splits"]["train"]["side"] = json!(1u64 << 40)), &["dataset.json", "side"]),
+        (
+            "empty",
+            |d| describe(d, |m| m["splits"]["train"]["files"] = json!([])),
+            &["dataset.json", "no training data"],
+        ),
+        (
+            "huge",
+            |d| describe(d, |m| m["splits"]["train"]["side"] = json!(1u64 << 40)),
+            &["dataset.json", "side"],
+        ),
         ("single", |d| one_direction(&d.join("train-00000.safetensors")), &["dataset.json", "single pair"]),
     ];
     for (name, damage, named) in damages {
@@ -362,7 +374,11 @@ fn damaged_datasets_are_refused() {
         folder,
         &[
             ("evaluate run --data flipped --rounds 0 --json new.json", 1, &["flipped/test-00000.exr"]),
-            ("evaluate run --data unvalidated --rounds 0 --splits validation", 1, &["unvalidated", "validation"]),
+            (
+                "evaluate run --data unvalidated --rounds 0 --splits validation",
+                1,
+                &["unvalidated", "validation"],
+            ),
             (&format!("train unvalidated --out new {SHORT}"), 1, &["unvalidated", "validation"]),
         ],
     );
@@ -504,7 +520,8 @@ fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
         for (path, bytes) in contents(folder) {
             let name = path.strip_prefix(folder).unwrap().to_str().unwrap().to_string();
             // The rest of a run tells the time.
-            if let Some(bytes) = bytes.filter(|_| !name.starts_with("run/") || name == "run/best.safetensors") {
+            if let Some(bytes) = bytes.filter(|_| !name.starts_with("run/") || name == "run/best.safetensors")
+            {
                 made.insert(name, bytes);
             }
         }
@@ -541,7 +558,10 @@ fn interrupted(folder: &Path, line: &str, sign: &str) -> Answer {
 #[cfg(unix)]
 fn check_interrupted(Answer { code, complained, .. }: Answer) {
     assert_eq!(code, Some(130), "{complained}");
-    assert!(complained.starts_with("neumip: interrupted: ") && complained.contains("--resume"), "{complained}");
+    assert!(
+        complained.starts_with("neumip: interrupted: ") && complained.contains("--resume"),
+        "{complained}"
+    );
     assert_eq!(complained.lines().count(), 1, "{complained}");
 }
 
@@ -588,14 +608,24 @@ fn evaluations_are_told_in_a_table_and_in_json() {
         folder,
         "evaluate run twin/best.safetensors --data data --rounds 2 --queries 512 --json errors.json",
     );
-    for part in ["[1] run: tile", "[2] twin/best.safetensors: tile", "mse[1]", "mse[2]", "ns a query", "grazing", "views/s4"]
-    {
+    for part in [
+        "[1] run: tile",
+        "[2] twin/best.safetensors: tile",
+        "mse[1]",
+        "mse[2]",
+        "ns a query",
+        "grazing",
+        "views/s4",
+    ] {
         assert!(said.contains(part), "{part} is missing: {said}");
     }
     let all: Value = serde_json::from_slice(&std::fs::read(folder.join("errors.json")).unwrap()).unwrap();
     assert_eq!(all.as_array().unwrap().len(), 2);
     for one in all.as_array().unwrap() {
-        has(one, &["run", "material", "resolution", "samples_per_texel", "weights", "flops", "bytes", "engine"]);
+        has(
+            one,
+            &["run", "material", "resolution", "samples_per_texel", "weights", "flops", "bytes", "engine"],
+        );
         has(&one["cost"], &["ns_per_query", "ns_low", "ns_high", "rounds", "queries"]);
         let rows = one["rows"].as_array().unwrap();
         for split in ["validation", "test", "offgrid", "grazing", "views/s2", "views/s4"] {
@@ -613,7 +643,8 @@ fn info_describes_everything_that_is_made() {
     let folder = workshop.path();
     let describe = |path: &str| -> Value {
         let said = succeed(folder, &format!("info {path} --json info.json"));
-        let written: Value = serde_json::from_slice(&std::fs::read(folder.join("info.json")).unwrap()).unwrap();
+        let written: Value =
+            serde_json::from_slice(&std::fs::read(folder.join("info.json")).unwrap()).unwrap();
         assert_eq!(written, serde_json::from_str::<Value>(&said).unwrap());
         written
     };
@@ -629,7 +660,10 @@ fn info_describes_everything_that_is_made() {
     assert_eq!(run["answers"], checkpoint);
     let data = describe("data");
     assert_eq!(data["kind"], "dataset");
-    has(&data["dataset"], &["format", "generator", "complete", "material", "resolution", "measure", "splits", "views"]);
+    has(
+        &data["dataset"],
+        &["format", "generator", "complete", "material", "resolution", "measure", "splits", "views"],
+    );
     let bundle = describe("bundle");
     assert_eq!(bundle["kind"], "bundle");
     has(&bundle["material"], &["conventions", "evaluate", "graphs", "textures", "cost", "errors", "files"]);
@@ -639,7 +673,8 @@ fn info_describes_everything_that_is_made() {
 fn every_verb_has_help_with_an_example() {
     for verb in ["demo", "generate", "train", "evaluate", "export", "info"] {
         let help = succeed(SHARED.path(), &format!("{verb} --help"));
-        let example = help.lines().any(|line| line.contains(&format!("neumip {verb} ")) && !line.contains("Usage"));
+        let example =
+            help.lines().any(|line| line.contains(&format!("neumip {verb} ")) && !line.contains("Usage"));
         assert!(example, "{help}");
         for flag in ["--threads", "--quiet", "--json"] {
             assert!(help.contains(flag), "{verb} lacks {flag}");

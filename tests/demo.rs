@@ -5,7 +5,18 @@ use std::process::{Command, Output};
 
 fn demo(out: &Path, extra: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_neumip"))
-        .args(["demo", "--resolution", "16", "--steps", "40", "--batch", "1024", "--samples", "20000", "--out"])
+        .args([
+            "demo",
+            "--resolution",
+            "16",
+            "--steps",
+            "40",
+            "--batch",
+            "1024",
+            "--samples",
+            "20000",
+            "--out",
+        ])
         .arg(out)
         .args(extra)
         .output()
@@ -38,7 +49,9 @@ fn a_small_demo_runs_to_its_report_and_resumes() {
         assert!(out.join(format!("{model}-bundle/material.onnx")).is_file());
     }
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
-    assert!(page.contains("data:image/png;base64,") && page.contains("improved") && !page.contains("<script"));
+    assert!(
+        page.contains("data:image/png;base64,") && page.contains("improved") && !page.contains("<script")
+    );
     assert!(std::fs::read(out.join("picture.png")).unwrap().starts_with(b"\x89PNG"));
 
     let second = demo(&out, &[]);

@@ -146,7 +146,10 @@ fn gradients_follow_float64_and_a_changed_one_does_not() {
                 assert!(error < GRADIENT_TOLERANCE, "{name} {tensor}[{entry}]: {} {slope}", gradient[entry]);
                 // The largest entry of each tensor, wrong by a hundredth, must be noticed.
                 if gradient[entry].abs() == scale {
-                    assert!((1.01 * gradient[entry] - slope).abs() / scale > GRADIENT_TOLERANCE, "{name} {tensor}");
+                    assert!(
+                        (1.01 * gradient[entry] - slope).abs() / scale > GRADIENT_TOLERANCE,
+                        "{name} {tensor}"
+                    );
                 }
             }
         }

@@ -185,7 +185,10 @@ fn a_loss_that_is_not_finite_stops_with_a_diagnosis_and_keeps_the_last_good_stat
     let error = trainer(config, &data, &run).run(&mut undisturbed).err().unwrap();
     let text = error.to_string();
     assert!(matches!(error, Error::Diverged(_)), "{text}");
-    assert!(text.contains("step 0") && text.contains("Root4Literal") && text.contains("root4-guarded"), "{text}");
+    assert!(
+        text.contains("step 0") && text.contains("Root4Literal") && text.contains("root4-guarded"),
+        "{text}"
+    );
     assert!(!text.contains('\n'));
     let state = RunFolder::open(&run).unwrap().0.load_last().unwrap();
     assert!(state.tensors.values().all(|t| t.data.iter().all(|v| v.is_finite())));
@@ -218,7 +221,8 @@ struct Trajectory {
 fn trajectory(preset: &str, data: &Dataset, out: &Path, rate: f64) -> Trajectory {
     let mut config = config(preset, 10);
     config.train.learning_rate.peak = rate;
-    config.train.smoothing = Some(Smoothing { start: 2.0, rate: 1.0, minimum: 0.1, skip_below: 0.2, offset_minimum: 1.0 });
+    config.train.smoothing =
+        Some(Smoothing { start: 2.0, rate: 1.0, minimum: 0.1, skip_below: 0.2, offset_minimum: 1.0 });
     let mut losses = Vec::new();
     trainer(config, data, out)
         .run(&mut |event| {

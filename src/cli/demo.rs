@@ -93,7 +93,12 @@ impl Demo {
 
         let mut models = Vec::new();
         for (k, name) in PRESETS.into_iter().enumerate() {
-            console.say(format!("[{}/5] training {name}: {} steps of {} samples", k + 2, self.steps, self.batch));
+            console.say(format!(
+                "[{}/5] training {name}: {} steps of {} samples",
+                k + 2,
+                self.steps,
+                self.batch
+            ));
             models.push(self.model(name, &data, console)?);
         }
         console.say("[4/5] evaluating on held-out directions");
@@ -105,7 +110,11 @@ impl Demo {
         for model in &mut models {
             let out = self.out.join(format!("{}-bundle", model.name));
             let bundle = export::bundle(&checkpoint::load(&model.run)?, &out, true)?;
-            console.say(format!("{}: graph within {:.1e} (1 + |value|) of the model", out.display(), bundle.difference));
+            console.say(format!(
+                "{}: graph within {:.1e} (1 + |value|) of the model",
+                out.display(),
+                bundle.difference
+            ));
             model.bundle = Some(bundle);
         }
         let seconds = clock.elapsed().as_secs_f64();
@@ -114,8 +123,9 @@ impl Demo {
         write_whole(&self.out.join("report.html"), report::html(&report)?.as_bytes())?;
         super::write_json(&self.out.join("report.json"), &figures)?;
         if let Some(panel) = report.panels.last() {
-            let images: Vec<&RgbImage> =
-                std::iter::once(&panel.reference).chain(panel.answers.iter().map(|(_, image)| image)).collect();
+            let images: Vec<&RgbImage> = std::iter::once(&panel.reference)
+                .chain(panel.answers.iter().map(|(_, image)| image))
+                .collect();
             write_whole(&self.out.join("picture.png"), &report::picture::strip(&images, 1.0)?)?;
         }
         if let Some(path) = &self.json {
@@ -130,7 +140,10 @@ impl Demo {
         let known = self.out.join("data").is_dir();
         if self.out.exists() && !self.resume {
             if !self.force {
-                return Err(Error::file(&self.out, "exists; choose another --out, or use --resume or --force"));
+                return Err(Error::file(
+                    &self.out,
+                    "exists; choose another --out, or use --resume or --force",
+                ));
             }
             let empty = std::fs::read_dir(&self.out).is_ok_and(|mut entries| entries.next().is_none());
             if !known && !empty {
@@ -164,7 +177,10 @@ impl Demo {
         let (run, config) = (self.out.join(name), self.config(name)?);
         let mut trainer = if self.resume && run.join("run.json").is_file() {
             if RunFolder::open(&run)?.1.config != config {
-                return Err(Error::file(run, "was begun with other options; give the same ones or use --force"));
+                return Err(Error::file(
+                    run,
+                    "was begun with other options; give the same ones or use --force",
+                ));
             }
             Trainer::resume(&run, data, &Device::Cpu)?
         } else {
@@ -186,16 +202,26 @@ impl Demo {
         let presented = (self.steps * self.batch as u64) as f64;
         let fact = |name: &str, value: String| (name.to_string(), value);
         let mut facts = vec![
-            fact("Material", format!("{} at {} x {}", data.manifest().material, self.resolution, self.resolution)),
+            fact(
+                "Material",
+                format!("{} at {} x {}", data.manifest().material, self.resolution, self.resolution),
+            ),
             fact("Training data", format!("{:.0} unique samples a texel, {} rays each", unique / texels, 16)),
-            fact("Presented", format!("{:.0} samples a texel: {} steps of {}", presented / texels, self.steps, self.batch)),
+            fact(
+                "Presented",
+                format!("{:.0} samples a texel: {} steps of {}", presented / texels, self.steps, self.batch),
+            ),
             fact("Seed", self.seed.to_string()),
             fact("Threads", rayon::current_num_threads().to_string()),
             fact("Rendering", format!("{generated:.0} s")),
         ];
         for model in models {
-            let rate = super::console::short(model.progress.samples as f64 / model.progress.seconds, "samples");
-            facts.push(fact(&format!("Training {}", model.name), format!("{:.0} s, {rate}/s", model.progress.seconds)));
+            let rate =
+                super::console::short(model.progress.samples as f64 / model.progress.seconds, "samples");
+            facts.push(fact(
+                &format!("Training {}", model.name),
+                format!("{:.0} s, {rate}/s", model.progress.seconds),
+            ));
         }
         for model in models {
             if let Some(bundle) = &model.bundle {
@@ -210,7 +236,11 @@ impl Demo {
             verdict: verdict(models, evaluations),
             panels: panels(data, models)?,
             curves: models.iter().map(curve).collect(),
-            table: models.iter().zip(evaluations).flat_map(|(m, e)| e.rows.iter().map(|r| table_row(m, r))).collect(),
+            table: models
+                .iter()
+                .zip(evaluations)
+                .flat_map(|(m, e)| e.rows.iter().map(|r| table_row(m, r)))
+                .collect(),
             costs: models.iter().zip(evaluations).map(|(m, e)| cost_row(m, e)).collect(),
             exports: models.iter().flat_map(exports).collect(),
             commands: self.commands(),
@@ -275,11 +305,14 @@ fn panels(data: &Dataset, models: &[Model]) -> Result<Vec<Panel>> {
         .iter()
         .map(|m| Ok((m.name, NeuralMaterial::from_checkpoint(&checkpoint::load(&m.run)?, &Device::Cpu)?)))
         .collect::<Result<Vec<_>>>()?;
-    let panel = |title: String, caption: String, queries: &QueryBuffer, reference: RgbImage| -> Result<Panel> {
-        let answers =
-            materials.iter().map(|(name, m)| Ok((name.to_string(), m.evaluate(queries)?))).collect::<Result<_>>()?;
-        Ok(Panel { title, caption, reference, answers })
-    };
+    let panel =
+        |title: String, caption: String, queries: &QueryBuffer, reference: RgbImage| -> Result<Panel> {
+            let answers = materials
+                .iter()
+                .map(|(name, m)| Ok((name.to_string(), m.evaluate(queries)?)))
+                .collect::<Result<_>>()?;
+            Ok(Panel { title, caption, reference, answers })
+        };
     let mut panels = Vec::new();
     let test = data.split(SplitName::Test)?;
     let mut blocks = Vec::new();

@@ -107,7 +107,10 @@ fn parse_bytes(text: &str) -> std::result::Result<usize, String> {
         _ => (text, 1),
     };
     let number: usize = digits.parse().map_err(|_| format!("{text} is no size such as 512M or 2G"))?;
-    number.checked_mul(factor).filter(|n| *n > 0).ok_or_else(|| format!("{text} is no size such as 512M or 2G"))
+    number
+        .checked_mul(factor)
+        .filter(|n| *n > 0)
+        .ok_or_else(|| format!("{text} is no size such as 512M or 2G"))
 }
 
 #[cfg(test)]

@@ -66,9 +66,8 @@ impl Config {
             "neumip" => include_str!("../presets/neumip.json").to_string(),
             "paper" => include_str!("../presets/paper.json").to_string(),
             "improved" => include_str!("../presets/improved.json").to_string(),
-            path if path.ends_with(".json") => {
-                std::fs::read_to_string(path).map_err(|e| Error::file(path, format!("cannot read preset: {e}")))?
-            }
+            path if path.ends_with(".json") => std::fs::read_to_string(path)
+                .map_err(|e| Error::file(path, format!("cannot read preset: {e}")))?,
             _ => {
                 return Err(Error::usage(format!(
                     "--preset {name}: unknown; use {} or a .json file",
@@ -92,7 +91,12 @@ impl Config {
         let pointer = format!("/{}", field.replace('.', "/"));
         match tree.pointer_mut(&pointer) {
             Some(place) => *place = value,
-            None => return Err(Error::config(field, "no such field; `neumip train --help` shows how presets look")),
+            None => {
+                return Err(Error::config(
+                    field,
+                    "no such field; `neumip train --help` shows how presets look",
+                ));
+            }
         }
         *self = serde_json::from_value(tree).map_err(|e| Error::config(field, e))?;
         Ok(())
@@ -118,7 +122,10 @@ impl TrainConfig {
         }
         let samples = self.piece * self.piece;
         if self.batch == 0 || !self.batch.is_multiple_of(samples) || self.batch > 1 << 24 {
-            return fail("batch", format!("{} is not a multiple of piece^2 = {samples} (up to 2^24)", self.batch));
+            return fail(
+                "batch",
+                format!("{} is not a multiple of piece^2 = {samples} (up to 2^24)", self.batch),
+            );
         }
         let rate = &self.learning_rate;
         if !finite_positive(rate.peak) {
@@ -133,7 +140,10 @@ impl TrainConfig {
             return fail("learning_rate.decay.floor", format!("{floor} is not in (0, 1]"));
         }
         let adam = &self.adam;
-        if !(0.0..1.0).contains(&adam.beta1) || !(0.0..1.0).contains(&adam.beta2) || !finite_positive(adam.epsilon) {
+        if !(0.0..1.0).contains(&adam.beta1)
+            || !(0.0..1.0).contains(&adam.beta2)
+            || !finite_positive(adam.epsilon)
+        {
             return fail("adam", "beta1 and beta2 must be in [0, 1), epsilon positive".into());
         }
         if let Some(s) = &self.smoothing {
@@ -143,9 +153,16 @@ impl TrainConfig {
             }
         }
         if let Some(b) = &self.blend
-            && !(share(b.until) && share(b.amount) && share(b.every) && b.every > 0.0 && finite_positive(b.sigma))
+            && !(share(b.until)
+                && share(b.amount)
+                && share(b.every)
+                && b.every > 0.0
+                && finite_positive(b.sigma))
         {
-            return fail("blend", "until, every and amount must be in [0, 1], every and sigma above 0".into());
+            return fail(
+                "blend",
+                "until, every and amount must be in [0, 1], every and sigma above 0".into(),
+            );
         }
         if self.offset_freeze.is_some_and(|f| !share(f)) {
             return fail("offset_freeze", "must be in [0, 1]".into());

@@ -54,7 +54,9 @@ impl LearningRate {
         self.peak
             * match self.decay {
                 Decay::Constant {} => 1.0,
-                Decay::Cosine { floor } => floor + (1.0 - floor) * 0.5 * (1.0 + (std::f64::consts::PI * t).cos()),
+                Decay::Cosine { floor } => {
+                    floor + (1.0 - floor) * 0.5 * (1.0 + (std::f64::consts::PI * t).cos())
+                }
                 Decay::Exponential { floor } => floor.powf(t),
             }
     }

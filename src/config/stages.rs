@@ -107,7 +107,10 @@ impl StagePlan {
             ]),
             "s2" => Ok(vec![stage(0.5, vec![l1(Root4Guarded)]), stage(0.5, both(Linear))]),
             "s3" => Ok(vec![stage(0.25, vec![l1(Root4Guarded)]), stage(0.75, both(Root4Guarded))]),
-            _ => Err(Error::config("train.stages", format!("{name:?} is no schedule: use s1, s2, s3 or a list"))),
+            _ => Err(Error::config(
+                "train.stages",
+                format!("{name:?} is no schedule: use s1, s2, s3 or a list"),
+            )),
         }
     }
 }

@@ -9,6 +9,7 @@
 
 mod block;
 mod config;
+mod folder;
 mod format;
 mod frame;
 mod from_reference;
@@ -22,14 +23,12 @@ mod scene;
 mod source;
 mod stream;
 mod table;
-mod folder;
 mod write;
 
 pub use block::{Block, Layout, MAX_LEVEL, MAX_SIDE, Patch};
 pub use config::{GenerateConfig, Regime};
 pub use format::{
-    Distance, FORMAT, FileInfo, HeightInfo, MANIFEST, Manifest, SplitInfo, SplitName, Summary,
-    ViewInfo,
+    Distance, FORMAT, FileInfo, HeightInfo, MANIFEST, Manifest, SplitInfo, SplitName, Summary, ViewInfo,
 };
 pub use generate::{Progress, generate};
 pub use query_frame::{read_query_frame, write_query_frame};

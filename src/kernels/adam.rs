@@ -39,15 +39,13 @@ impl Update {
 
     /// theta -= rate * first / (sqrt(second) * root_correction + epsilon).
     pub fn apply(&self, theta: &mut [f32], first: &[f32], second: &[f32]) {
-        theta
-            .par_chunks_mut(CHUNK)
-            .zip(first.par_chunks(CHUNK))
-            .zip(second.par_chunks(CHUNK))
-            .for_each(|((theta, m), v)| {
+        theta.par_chunks_mut(CHUNK).zip(first.par_chunks(CHUNK)).zip(second.par_chunks(CHUNK)).for_each(
+            |((theta, m), v)| {
                 for ((theta, m), v) in theta.iter_mut().zip(m).zip(v) {
                     *theta -= self.rate * m / (v.sqrt() * self.root_correction + self.epsilon);
                 }
-            });
+            },
+        );
     }
 }
 

@@ -105,7 +105,8 @@ mod tests {
     fn is_its_own_adjoint() {
         let (h, w, c) = (8, 6, 2);
         let (x, y) = (noise(h * w * c), noise(2 * h * w * c)[h * w * c..].to_vec());
-        let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
+        let dot =
+            |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
         let (left, right) = (dot(&smooth(&x, h, w, c, 1.3), &y), dot(&x, &smooth(&y, h, w, c, 1.3)));
         assert!((left - right).abs() < ROUNDING * 10.0, "{left} {right}");
         assert!((left - dot(&smooth(&x, h, w, c, 1.4), &y)).abs() > ROUNDING * 10.0);

@@ -12,7 +12,8 @@ const LUMA: [f32; 3] = [0.299, 0.587, 0.114];
 fn sobel(images: &Tensor) -> Result<(Tensor, Tensor)> {
     let part = |t: &Tensor, axis: usize, start: usize| t.narrow(axis, start, t.dims()[axis] - 2);
     let across = |t: &Tensor, axis: usize| part(t, axis, 0)? - part(t, axis, 2)?;
-    let along = |t: &Tensor, axis: usize| (part(t, axis, 0)? + (part(t, axis, 1)? * 2.0)?)? + part(t, axis, 2)?;
+    let along =
+        |t: &Tensor, axis: usize| (part(t, axis, 0)? + (part(t, axis, 1)? * 2.0)?)? + part(t, axis, 2)?;
     Ok((along(&across(images, 2)?, 1)?, along(&across(images, 1)?, 2)?))
 }
 

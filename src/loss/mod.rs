@@ -55,20 +55,21 @@ impl Target {
         device: &Device,
     ) -> Result<Self> {
         let k = patches.len();
-        let interior = if side > 2 && means.interior > 0 {
-            let inside = |x: usize, patch: usize| (1..patch - 1).contains(&(x % patch));
-            let mut mask = Vec::with_capacity(k * (side - 2) * (side - 2));
-            for &patch in patches {
-                for row in 1..side - 1 {
-                    mask.extend((1..side - 1).map(|column| {
-                        f32::from(patch > 2 && inside(row, patch) && inside(column, patch))
-                    }));
+        let interior =
+            if side > 2 && means.interior > 0 {
+                let inside = |x: usize, patch: usize| (1..patch - 1).contains(&(x % patch));
+                let mut mask = Vec::with_capacity(k * (side - 2) * (side - 2));
+                for &patch in patches {
+                    for row in 1..side - 1 {
+                        mask.extend((1..side - 1).map(|column| {
+                            f32::from(patch > 2 && inside(row, patch) && inside(column, patch))
+                        }));
+                    }
                 }
-            }
-            Some(Tensor::from_vec(mask, (k, side - 2, side - 2, 1), device)?)
-        } else {
-            None
-        };
+                Some(Tensor::from_vec(mask, (k, side - 2, side - 2, 1), device)?)
+            } else {
+                None
+            };
         Ok(Self {
             rgb: Tensor::from_vec(rgb.into_flattened(), (k, side, side, 3), device)?,
             weight: Tensor::from_slice(weights, (k, 1, 1, 1), device)?,

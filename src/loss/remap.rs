@@ -25,7 +25,12 @@ pub fn apply(x: &Tensor, remap: Remap) -> Result<Tensor> {
 }
 
 /// sign(x) (root(|x| + epsilon) - root(epsilon)): odd, with a finite slope at 0.
-fn signed(x: &Tensor, epsilon: f64, root: impl Fn(&Tensor) -> Result<Tensor>, at_zero: f64) -> Result<Tensor> {
+fn signed(
+    x: &Tensor,
+    epsilon: f64,
+    root: impl Fn(&Tensor) -> Result<Tensor>,
+    at_zero: f64,
+) -> Result<Tensor> {
     // sign has gradient 0 in candle, and abs +1 at 0, where sign is 0: the product's gradient is right but at 0 itself.
     let magnitude = (root(&(x.abs()? + epsilon)?)? - at_zero)?;
     Ok((magnitude * x.sign()?)?)

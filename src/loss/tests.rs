@@ -39,7 +39,8 @@ fn term64(term: Term, prediction: &[f64], target: &[f64]) -> f64 {
         let weight = f64::from(WEIGHTS[piece]);
         for row in 0..SIDE {
             for column in 0..SIDE {
-                let pixelwise = |f: fn(f64) -> f64| (0..3).map(|c| f(difference(piece, row, column, c))).sum::<f64>();
+                let pixelwise =
+                    |f: fn(f64) -> f64| (0..3).map(|c| f(difference(piece, row, column, c))).sum::<f64>();
                 let inside = [row, column].iter().all(|x| x % patch > 0 && x % patch + 1 < patch);
                 interior += usize::from(inside);
                 sum += weight
@@ -47,12 +48,17 @@ fn term64(term: Term, prediction: &[f64], target: &[f64]) -> f64 {
                         TermKind::L1 => pixelwise(f64::abs),
                         TermKind::L2 => pixelwise(|d| d * d),
                         _ if !inside => 0.0,
-                        TermKind::Gradient => {
-                            (0..3).map(|c| sobel64(&|r, q| difference(piece, r, q, c), row, column)).map(|[x, y]| x * x + y * y).sum()
-                        }
+                        TermKind::Gradient => (0..3)
+                            .map(|c| sobel64(&|r, q| difference(piece, r, q, c), row, column))
+                            .map(|[x, y]| x * x + y * y)
+                            .sum(),
                         TermKind::GradientLuma => {
                             let luma = |r: usize, q: usize| {
-                                [0.299, 0.587, 0.114].iter().enumerate().map(|(c, w)| w * difference(piece, r, q, c)).sum()
+                                [0.299, 0.587, 0.114]
+                                    .iter()
+                                    .enumerate()
+                                    .map(|(c, w)| w * difference(piece, r, q, c))
+                                    .sum()
                             };
                             let [x, y] = sobel64(&luma, row, column);
                             0.5 * (x.abs() + y.abs())

@@ -8,11 +8,14 @@ pub const WINDOW: usize = 8;
 
 /// Mean structural similarity of two images of the same shape (row by row), 1 for equal ones.
 pub fn ssim(height: usize, width: usize, answer: &[[f32; 3]], reference: &[[f32; 3]]) -> Option<f64> {
-    if height < WINDOW || width < WINDOW || answer.len() != height * width || reference.len() != answer.len() {
+    if height < WINDOW || width < WINDOW || answer.len() != height * width || reference.len() != answer.len()
+    {
         return None;
     }
     let gray = |pixels: &[[f32; 3]]| {
-        GrayImage::from_fn(width as u32, height as u32, |x, y| Luma([luma(pixels[y as usize * width + x as usize])]))
+        GrayImage::from_fn(width as u32, height as u32, |x, y| {
+            Luma([luma(pixels[y as usize * width + x as usize])])
+        })
     };
     gray_similarity_structure(&Algorithm::MSSIMSimple, &gray(answer), &gray(reference)).ok().map(|s| s.score)
 }

@@ -46,7 +46,8 @@ impl Networks {
     /// # Errors
     /// Whatever candle refuses.
     pub fn forward(&self, inputs: &Inputs, tables: &Tables) -> Result<Tensor> {
-        let position = parallax::shifted(&self.architecture.model.parallax, self.offset.as_ref(), inputs, tables)?;
+        let position =
+            parallax::shifted(&self.architecture.model.parallax, self.offset.as_ref(), inputs, tables)?;
         let features = texture::fetch(&tables.pyramid, &position, &inputs.levels)?;
         let x = match &inputs.encoding {
             Some(encoding) => Tensor::cat(&[&features, encoding], 1)?,
@@ -63,7 +64,8 @@ impl Networks {
 pub fn device(name: &str) -> Result<Device> {
     use crate::error::Error;
     let (kind, ordinal) = name.split_once(':').unwrap_or((name, "0"));
-    let ordinal: usize = ordinal.parse().map_err(|_| Error::usage(format!("--device {name}: no such device")))?;
+    let ordinal: usize =
+        ordinal.parse().map_err(|_| Error::usage(format!("--device {name}: no such device")))?;
     match kind {
         "cpu" => Ok(Device::Cpu),
         "cuda" => Device::new_cuda(ordinal).map_err(|e| Error::usage(format!("--device {name}: {e}"))),

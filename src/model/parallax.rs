@@ -11,7 +11,12 @@ use neumip_export::config::ParallaxConfig;
 ///
 /// # Errors
 /// Whatever candle refuses.
-pub fn shifted(config: &ParallaxConfig, mlp: Option<&Mlp>, inputs: &Inputs, tables: &Tables) -> Result<Tensor> {
+pub fn shifted(
+    config: &ParallaxConfig,
+    mlp: Option<&Mlp>,
+    inputs: &Inputs,
+    tables: &Tables,
+) -> Result<Tensor> {
     let (ParallaxConfig::Offset(offset), Some(mlp), Some(shift), Some(table)) =
         (config, mlp, &inputs.shift, &tables.offset)
     else {

@@ -105,7 +105,8 @@ fn smoothed_by_matrices(texture: &Tensor, sigma: f64) -> Result<Tensor> {
     let device = texture.device();
     let rows = circulant(sigma, height, device)?.matmul(&texture.reshape((height, width * channels))?)?;
     let columns_first = rows.reshape((height, width, channels))?.transpose(0, 1)?.contiguous()?;
-    let columns = circulant(sigma, width, device)?.matmul(&columns_first.reshape((width, height * channels))?)?;
+    let columns =
+        circulant(sigma, width, device)?.matmul(&columns_first.reshape((width, height * channels))?)?;
     Ok(columns.reshape((width, height, channels))?.transpose(0, 1)?.contiguous()?)
 }
 

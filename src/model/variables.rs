@@ -50,7 +50,9 @@ impl Variables {
                 Some(t) if t.shape == shape => {
                     all.push((name, Var::from_vec(t.data.clone(), shape, device)?));
                 }
-                Some(t) => return Err(Error::config(name, format!("has shape {:?}, not {shape:?}", t.shape))),
+                Some(t) => {
+                    return Err(Error::config(name, format!("has shape {:?}, not {shape:?}", t.shape)));
+                }
                 None => return Err(Error::config(name, "this tensor is missing")),
             }
         }

@@ -34,7 +34,9 @@ fn cause(job: &Job, pieces: &[Block]) -> Result<String> {
         let value: f32 = chunk.target.loss(&prediction, std::slice::from_ref(term))?.to_scalar()?;
         if !value.is_finite() {
             let remedy = match term.remap {
-                Remap::Root4Literal => "the literal 4th root is no number below 0; use root4-guarded or root4-signed",
+                Remap::Root4Literal => {
+                    "the literal 4th root is no number below 0; use root4-guarded or root4-signed"
+                }
                 _ => "lower the learning rate",
             };
             return Ok(format!("term {:?} of {:?} gives {value}, {range}; {remedy}", term.kind, term.remap));

@@ -54,8 +54,10 @@ impl Job<'_> {
         let largest = pieces.first().map_or(1, |p| p.side() * p.side());
         let per_chunk = (samples.div_ceil(MOST_CHUNKS).max(CHUNK_SAMPLES) / largest).max(1);
         let means = self.means(pieces);
-        let parts: Vec<Gradients> =
-            pieces.par_chunks(per_chunk).map(|chunk| self.chunk_gradients(chunk, means)).collect::<Result<_>>()?;
+        let parts: Vec<Gradients> = pieces
+            .par_chunks(per_chunk)
+            .map(|chunk| self.chunk_gradients(chunk, means))
+            .collect::<Result<_>>()?;
         let mut parts = parts.into_iter();
         let Some(mut total) = parts.next() else {
             return Err(crate::error::Error::config("batch", "is empty"));
@@ -87,8 +89,10 @@ impl Job<'_> {
             rgb.extend(piece.target().iter().map(|p| p.map(|v| v.clamp(low, high))));
         }
         let patches: Vec<usize> = pieces.iter().map(|p| p.patch()).collect();
-        let weights: Vec<f32> =
-            pieces.iter().map(|p| f32::from(self.highest_level.is_none_or(|most| p.level() <= most as f32))).collect();
+        let weights: Vec<f32> = pieces
+            .iter()
+            .map(|p| f32::from(self.highest_level.is_none_or(|most| p.level() <= most as f32)))
+            .collect();
         Ok(Chunk {
             inputs: Inputs::new(architecture, &u, &wi, &wo, &level, self.device)?,
             target: Target::new(rgb, side, &patches, &weights, means, self.device)?,
@@ -99,8 +103,10 @@ impl Job<'_> {
         let chunk = self.chunk(pieces, means)?;
         let pyramid = Var::from_tensor(&self.tables.pyramid)?;
         let offset = self.tables.offset.as_ref().map(Var::from_tensor).transpose()?;
-        let tables =
-            Tables { pyramid: pyramid.as_tensor().clone(), offset: offset.as_ref().map(|o| o.as_tensor().clone()) };
+        let tables = Tables {
+            pyramid: pyramid.as_tensor().clone(),
+            offset: offset.as_ref().map(|o| o.as_tensor().clone()),
+        };
         let prediction = self.networks.forward(&chunk.inputs, &tables)?;
         let loss = chunk.target.loss(&prediction, self.terms)?;
         let mut store = loss.backward()?;

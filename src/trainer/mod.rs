@@ -94,7 +94,8 @@ impl Trainer {
         let variables = Variables::initial(&architecture, config.train.seed, device)?;
         let optimiser = Optimiser::new(&variables, config.train.adam)?;
         let sources = Sources::open(&config, data, memory)?;
-        let folder = RunFolder::create(out, &RunRecord::new(config.clone(), data.identity()?, memory), force)?;
+        let folder =
+            RunFolder::create(out, &RunRecord::new(config.clone(), data.identity()?, memory), force)?;
         Self::assemble(config, architecture, variables, optimiser, sources, data, folder, device)
     }
 
@@ -105,13 +106,20 @@ impl Trainer {
     pub fn resume(out: &Path, data: &Dataset, device: &Device) -> Result<Self> {
         let (folder, record) = RunFolder::open(out)?;
         if record.data != data.identity()? {
-            return Err(Error::file(data.root(), format!("is not the data that {} was begun with", out.display())));
+            return Err(Error::file(
+                data.root(),
+                format!("is not the data that {} was begun with", out.display()),
+            ));
         }
         let config = record.config;
         let architecture = Architecture::new(config.model.clone(), data.resolution())?;
         let state = folder.load_last()?;
         let part = |prefix: &str| {
-            state.tensors.iter().filter_map(|(n, t)| Some((n.strip_prefix(prefix)?.to_string(), t.clone()))).collect()
+            state
+                .tensors
+                .iter()
+                .filter_map(|(n, t)| Some((n.strip_prefix(prefix)?.to_string(), t.clone())))
+                .collect()
         };
         let restore = |prefix: &str| Variables::from_stored(&architecture, &part(prefix), device);
         let variables = restore("value.")?;
@@ -209,7 +217,10 @@ impl Trainer {
             if validated {
                 self.save_last()?;
             }
-            let stop = events.iter().fold(false, |stop, event| listener(event).is_break() || stop);
+            let mut stop = false;
+            for event in &events {
+                stop |= listener(event).is_break();
+            }
             if stop && self.progress.fraction < 1.0 {
                 if !validated {
                     self.save_last()?;
@@ -364,7 +375,8 @@ impl Trainer {
                 tensors.insert(format!("{prefix}.{name}"), tensor);
             }
         }
-        let progress = serde_json::to_value(&self.progress).map_err(|e| Error::file(self.folder.path(), e))?;
+        let progress =
+            serde_json::to_value(&self.progress).map_err(|e| Error::file(self.folder.path(), e))?;
         let state = State { generation: self.progress.step, progress, tensors };
         self.folder.save_last(&self.checkpoint()?, &state)?;
         self.folder.write_json("history.json", &self.progress)

@@ -116,8 +116,8 @@ impl Progress {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metrics::ErrorSum;
     use crate::config::{Plateau, Remap, Term, TermKind};
+    use crate::metrics::ErrorSum;
 
     fn stage(share: f64, plateau: Option<Plateau>) -> Stage {
         Stage { share, plateau, terms: vec![Term { kind: TermKind::L1, remap: Remap::Linear, weight: 1.0 }] }
