@@ -1,7 +1,9 @@
 //! The promises of neumip, a file each.
 
+mod command_line;
 mod dataset;
 mod demo;
+mod house;
 mod model;
 mod onnx;
 mod python_environment;

@@ -50,7 +50,7 @@ pub struct Demo {
     #[arg(long, default_value_t = 128)]
     resolution: usize,
     /// Optimiser steps of each model.
-    #[arg(long, default_value_t = 6000)]
+    #[arg(long, default_value_t = 10_000)]
     steps: u64,
     /// Samples a step.
     #[arg(long, default_value_t = 2048)]

@@ -29,9 +29,10 @@ struct MaterialFile {
     version: u32,
     name: String,
     height: Scalar,
-    displacement: f32,
+    // As f64, so that a number too large for f32 is refused by its field's name.
+    displacement: f64,
     #[serde(default = "half")]
-    midlevel: f32,
+    midlevel: f64,
     base_colour: Colour,
     roughness: Scalar,
     #[serde(default = "zero")]
@@ -54,7 +55,7 @@ enum Colour {
     Map(PathBuf),
 }
 
-fn half() -> f32 {
+fn half() -> f64 {
     0.5
 }
 
@@ -108,8 +109,8 @@ struct Reader<'a> {
 impl Reader<'_> {
     fn height(&mut self, file: &MaterialFile) -> Result<HeightMap> {
         let (scale, midlevel) = (file.displacement, file.midlevel);
-        if !(0.0..=2.0 * MAX_DEPTH).contains(&scale) {
-            let most = 2.0 * MAX_DEPTH;
+        let most = 2.0 * f64::from(MAX_DEPTH);
+        if !(0.0..=most).contains(&scale) {
             return Err(self.refuse("displacement", format!("is {scale}; 0 to {most} tile widths work")));
         }
         if !(0.0..=1.0).contains(&midlevel) {
@@ -124,7 +125,7 @@ impl Reader<'_> {
         }
         let values: Vec<f32> = values
             .iter()
-            .map(|[v]| (f64::from(scale) * (f64::from(*v) - f64::from(midlevel))) as f32)
+            .map(|[v]| (scale * (f64::from(*v) - midlevel)) as f32)
             .collect();
         if let Some(z) = values.iter().find(|z| z.abs() > MAX_DEPTH) {
             let problem =

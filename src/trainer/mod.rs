@@ -96,7 +96,10 @@ impl Trainer {
         let sources = Sources::open(&config, data, memory)?;
         let folder =
             RunFolder::create(out, &RunRecord::new(config.clone(), data.identity()?, memory), force)?;
-        Self::assemble(config, architecture, variables, optimiser, sources, data, folder, device)
+        let this = Self::assemble(config, architecture, variables, optimiser, sources, data, folder, device)?;
+        // From the first moment on there is something to resume.
+        this.save_last()?;
+        Ok(this)
     }
 
     /// Goes on with the newest saved state of a run, on the data it began with.
@@ -112,6 +115,7 @@ impl Trainer {
             ));
         }
         let config = record.config;
+        config.train.validate()?;
         let architecture = Architecture::new(config.model.clone(), data.resolution())?;
         let state = folder.load_last()?;
         let part = |prefix: &str| {
@@ -128,6 +132,9 @@ impl Trainer {
         let mut this =
             Self::assemble(config, architecture, variables, optimiser, sources, data, folder, device)?;
         this.progress = serde_json::from_value(state.progress).map_err(|e| Error::file(out, e))?;
+        if this.progress.stage >= this.stages.len() || !this.progress.fraction.is_finite() {
+            return Err(Error::file(out, "its saved progress does not fit its configuration"));
+        }
         this.stream.seek(this.progress.step);
         Ok(this)
     }
