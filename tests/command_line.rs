@@ -16,6 +16,9 @@ const SHORT: &str = "--preset neumip --steps 4 --batch 256 --set train.validatio
 /// Far beyond what any command here needs on a busy machine: what takes longer hangs.
 const PATIENCE: Duration = Duration::from_secs(120);
 
+/// How the folders of these tests are called.
+const WORKSHOP: &str = "command-line-";
+
 struct Answer {
     code: Option<i32>,
     said: String,
@@ -77,11 +80,24 @@ fn copy(from: &Path, to: &Path) {
 }
 
 fn empty_workshop() -> TempDir {
-    tempfile::Builder::new().prefix("command-line-").tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap()
+    tempfile::Builder::new().prefix(WORKSHOP).tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap()
+}
+
+/// Removes what earlier runs of these tests left: a static is never dropped.
+fn remove_old_workshops() {
+    for entry in std::fs::read_dir(env!("CARGO_TARGET_TMPDIR")).unwrap().flatten() {
+        let ours = entry.file_name().to_str().is_some_and(|name| name.starts_with(WORKSHOP));
+        let age =
+            entry.metadata().and_then(|about| about.modified()).ok().and_then(|then| then.elapsed().ok());
+        if ours && age.is_some_and(|age| age > 10 * PATIENCE) {
+            let _ = std::fs::remove_dir_all(entry.path());
+        }
+    }
 }
 
 /// Made once: a material, datasets of two resolutions, a run and a bundle, and things that are none of these.
 static SHARED: LazyLock<TempDir> = LazyLock::new(|| {
+    remove_old_workshops();
     let workshop = empty_workshop();
     let folder = workshop.path();
     write_material(folder, "tile", &json!({}));

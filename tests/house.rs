@@ -1,5 +1,5 @@
 //! The shape of the repository: which way imports flow, how long files are, what they may not mention, and that the
-//! README's commands exist.
+//! commands of the README and other pages exist.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -312,7 +312,7 @@ fn help(program: &str, arguments: &[&str]) -> Option<String> {
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// What is wrong with a command line of the README; None if its program is neither ours nor cargo, or all is well.
+/// What is wrong with a command line of a page; None if its program is neither ours nor cargo, or all is well.
 fn problem(line: &str) -> Option<String> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let (program, words) = words.split_first()?;
@@ -345,14 +345,17 @@ fn problem(line: &str) -> Option<String> {
 }
 
 #[test]
-fn the_commands_of_the_readme_exist() {
+fn the_commands_of_the_pages_exist() {
     let readme = std::fs::read_to_string(root().join("README.md")).expect("README.md is there");
     let lines = shell_lines(&readme);
     for needed in ["cargo run --release -- demo", "cargo test --release"] {
         assert!(lines.iter().any(|line| line == needed), "README.md shows no `{needed}`: {lines:?}");
     }
-    let problems: Vec<String> = lines.iter().filter_map(|line| problem(line)).collect();
-    assert!(problems.is_empty(), "README.md: {}", problems.join("\n"));
+    for page in repository().iter().filter(|path| path.extension().is_some_and(|e| e == "md")) {
+        let lines = shell_lines(&std::fs::read_to_string(root().join(page)).unwrap());
+        let problems: Vec<String> = lines.iter().filter_map(|line| problem(line)).collect();
+        assert!(problems.is_empty(), "{}: {}", page.display(), problems.join("\n"));
+    }
 }
 
 #[test]

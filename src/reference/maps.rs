@@ -116,6 +116,7 @@ impl Reader<'_> {
         if !(0.0..=1.0).contains(&midlevel) {
             return Err(self.refuse("midlevel", format!("is {midlevel}; 0 to 1 work")));
         }
+        let (scale, midlevel) = (scale as f32, midlevel as f32);
         let (side, values) = match &file.height {
             Scalar::Constant(value) => (2, vec![[*value]; 4]),
             Scalar::Map(map) => self.grey_map("height", map)?,
@@ -125,7 +126,7 @@ impl Reader<'_> {
         }
         let values: Vec<f32> = values
             .iter()
-            .map(|[v]| (scale * (f64::from(*v) - midlevel)) as f32)
+            .map(|[v]| (f64::from(scale) * (f64::from(*v) - f64::from(midlevel))) as f32)
             .collect();
         if let Some(z) = values.iter().find(|z| z.abs() > MAX_DEPTH) {
             let problem =
