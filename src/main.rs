@@ -12,7 +12,9 @@ fn main() -> ExitCode {
     match Cli::parse().run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("neumip: {error}");
+            // candle appends a backtrace to its messages where one is asked for.
+            let text = error.to_string();
+            eprintln!("neumip: {}", text.lines().next().unwrap_or_default());
             ExitCode::from(error.exit_code())
         }
     }

@@ -65,3 +65,27 @@ fn a_small_demo_runs_to_its_report_and_resumes() {
     let other = demo(&out, &["--resume", "--seed", "2"]);
     assert_ne!(other.status.code(), Some(0));
 }
+
+#[test]
+fn force_replaces_only_a_demo_and_bad_options_leave_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let project = folder.path().join("project");
+    std::fs::create_dir_all(project.join("data")).unwrap();
+    std::fs::write(project.join("notes.txt"), "precious").unwrap();
+    let refused = demo(&project, &["--force"]);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("notes.txt"));
+    assert_eq!(std::fs::read_to_string(project.join("notes.txt")).unwrap(), "precious");
+
+    let fresh = folder.path().join("fresh");
+    for bad in [["--material", "sand"], ["--resolution", "100"], ["--batch", "100"], ["--steps", "0"]] {
+        let refused = Command::new(env!("CARGO_BIN_EXE_neumip"))
+            .args(["demo", "--out"])
+            .arg(&fresh)
+            .args(bad)
+            .output()
+            .unwrap();
+        assert_eq!(refused.status.code(), Some(2), "{bad:?}");
+        assert!(!fresh.exists(), "{bad:?}");
+    }
+}

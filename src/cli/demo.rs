@@ -22,6 +22,17 @@ use std::time::Instant;
 
 /// The presets that are compared, baseline first.
 const PRESETS: [&str; 2] = ["neumip", "improved"];
+/// Everything that a demo's folder may hold.
+const PARTS: [&str; 8] = [
+    "data",
+    "neumip",
+    "improved",
+    "neumip-bundle",
+    "improved-bundle",
+    "report.html",
+    "report.json",
+    "picture.png",
+];
 /// Held-out splits of the error table.
 const SPLITS: [SplitName; 3] = [SplitName::Test, SplitName::Offgrid, SplitName::Grazing];
 /// Rounds and queries of the timing: a demo's worth.
@@ -84,11 +95,15 @@ impl Demo {
     /// Runs the command.
     pub fn run(self, console: &Console) -> Result<()> {
         let clock = Instant::now();
+        let config = self.generation();
+        let reference = generate::reference(&self.material, 0, &config)?;
+        for preset in PRESETS {
+            self.config(preset)?.train.validate()?;
+        }
         self.prepare_folder()?;
         console.say(format!("[1/5] rendering {} into {}", self.material, self.out.join("data").display()));
         let existing = if self.resume { Existing::Resume } else { Existing::Refuse };
-        let config = self.generation();
-        let data = generate::dataset(&self.material, 0, &config, &self.out.join("data"), existing, console)?;
+        let data = generate::dataset(&reference, &config, &self.out.join("data"), existing, console)?;
         let generated = clock.elapsed().as_secs_f64();
 
         let mut models = Vec::new();
@@ -137,7 +152,6 @@ impl Demo {
     }
 
     fn prepare_folder(&self) -> Result<()> {
-        let known = self.out.join("data").is_dir();
         if self.out.exists() && !self.resume {
             if !self.force {
                 return Err(Error::file(
@@ -145,9 +159,19 @@ impl Demo {
                     "exists; choose another --out, or use --resume or --force",
                 ));
             }
-            let empty = std::fs::read_dir(&self.out).is_ok_and(|mut entries| entries.next().is_none());
-            if !known && !empty {
-                return Err(Error::file(&self.out, "is no demo's folder; --force replaces only those"));
+            let entries = std::fs::read_dir(&self.out)
+                .map_err(|e| Error::file(&self.out, format!("cannot be read: {e}")))?;
+            for entry in entries.flatten() {
+                let name = entry.file_name().to_string_lossy().into_owned();
+                if !PARTS.contains(&name.as_str()) {
+                    let problem =
+                        format!("holds {name}, which no demo made; --force replaces only a demo's folder");
+                    return Err(Error::file(&self.out, problem));
+                }
+            }
+            let data = self.out.join("data");
+            if data.exists() {
+                Dataset::open(&data)?;
             }
             std::fs::remove_dir_all(&self.out)
                 .map_err(|e| Error::file(&self.out, format!("cannot be replaced: {e}")))?;

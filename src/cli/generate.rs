@@ -80,7 +80,8 @@ impl Generate {
             (_, true) => Existing::Replace,
             _ => Existing::Refuse,
         };
-        let data = dataset(&self.material, self.material_seed, &config, &self.out, existing, console)?;
+        let reference = reference(&self.material, self.material_seed, &config)?;
+        let data = dataset(&reference, &config, &self.out, existing, console)?;
         match &self.json {
             Some(path) => super::write_json(path, data.manifest()),
             None => Ok(()),
@@ -88,28 +89,31 @@ impl Generate {
     }
 }
 
-/// Renders a dataset with progress.
-pub fn dataset(
-    material: &str,
-    material_seed: u64,
-    config: &GenerateConfig,
-    out: &Path,
-    existing: Existing,
-    console: &Console,
-) -> Result<Dataset> {
+/// The surface of a material at a dataset's resolution, once the configuration is known to work.
+pub fn reference(material: &str, material_seed: u64, config: &GenerateConfig) -> Result<Reference> {
     config.validate()?;
     let options = ReferenceOptions {
         resolution: Some([config.resolution; 2]),
         material_seed,
         ..ReferenceOptions::default()
     };
-    let reference = Reference::open(material, &options)?;
+    Reference::open(material, &options)
+}
+
+/// Renders a dataset with progress.
+pub fn dataset(
+    reference: &Reference,
+    config: &GenerateConfig,
+    out: &Path,
+    existing: Existing,
+    console: &Console,
+) -> Result<Dataset> {
     for note in reference.notes() {
         console.say(format!("note: {note}"));
     }
     let mut meter = None;
     let mut done = 0;
-    generate(&reference, config, out, existing, &mut |progress| {
+    generate(reference, config, out, existing, &mut |progress| {
         done = progress.done;
         meter
             .get_or_insert_with(|| {

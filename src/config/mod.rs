@@ -88,15 +88,18 @@ impl Config {
             .ok_or_else(|| Error::usage(format!("--set {assignment}: write field=value")))?;
         let value: Value = serde_json::from_str(text).unwrap_or_else(|_| Value::String(text.into()));
         let mut tree = serde_json::to_value(&*self).map_err(|e| Error::config(field, e))?;
-        let pointer = format!("/{}", field.replace('.', "/"));
+        let unknown = || Error::config(field, "no such field; src/presets shows how presets look");
+        let (parent, name) = field.rsplit_once('.').ok_or_else(unknown)?;
+        let pointer = format!("/{}", parent.replace('.', "/"));
         match tree.pointer_mut(&pointer) {
-            Some(place) => *place = value,
-            None => {
-                return Err(Error::config(
-                    field,
-                    "no such field; `neumip train --help` shows how presets look",
-                ));
+            // A field that is left out by default is inserted; one that does not exist is refused when read back.
+            Some(Value::Object(fields)) => {
+                fields.insert(name.into(), value);
             }
+            Some(Value::Array(items)) => {
+                *name.parse().ok().and_then(|i: usize| items.get_mut(i)).ok_or_else(unknown)? = value;
+            }
+            _ => return Err(unknown()),
         }
         *self = serde_json::from_value(tree).map_err(|e| Error::config(field, e))?;
         Ok(())
@@ -215,6 +218,10 @@ mod tests {
         let mut config = Config::preset("neumip").unwrap();
         config.set("model.texture.channels=12").unwrap();
         assert_eq!(config.model.texture.channels, 12);
+        config.set("model.texture.levels=3").unwrap();
+        assert_eq!(config.model.texture.levels, Some(3));
+        config.set("train.level_dropout.0=2").unwrap();
+        assert_eq!(config.train.level_dropout[0], Some(2));
         assert!(config.set("model.texture.chanels=12").unwrap_err().to_string().contains("chanels"));
         assert!(config.set("train.batch=many").is_err());
         config.set("train.batch=100").unwrap();

@@ -343,7 +343,15 @@ impl Trainer {
             NeuralMaterial::new(&self.networks.architecture, &self.variables, &self.sigmas(), &self.device)?;
         let mut sum = ErrorSum::default();
         for block in &self.validation {
-            let answer = material.evaluate(&block.queries(self.header.architecture.resolution))?;
+            let queries = block.queries(self.header.architecture.resolution);
+            let answer = material.evaluate(&queries).map_err(|error| match error {
+                Error::Config { problem, .. } => Error::Diverged(format!(
+                    "validation at step {}: {problem}; lower the learning rate; the last good state is kept in {}",
+                    self.progress.step,
+                    self.folder.path().display()
+                )),
+                other => other,
+            })?;
             sum.add(&answer.pixels, &block.target());
         }
         let (point, best) = self.progress.add_validation(sum.errors(), &self.stages);
@@ -400,7 +408,10 @@ impl Sources {
     fn open(config: &Config, data: &Dataset, memory: usize) -> Result<Self> {
         let train = &config.train;
         let pieces = train.batch / (train.piece * train.piece);
-        let stream = Stream::new(data, SplitName::Train, train.piece, pieces, memory, train.seed)?;
+        let mut stream = Stream::new(data, SplitName::Train, train.piece, pieces, memory, train.seed)?;
+        // Damaged data is better found before a run's folder is made.
+        stream.next_batch()?;
+        stream.seek(0);
         let split = data.split(SplitName::Validation)?;
         let mut validation = Vec::new();
         for file in 0..split.files() {
