@@ -284,9 +284,13 @@ impl Demo {
     }
 }
 
-/// Squared error over the whole test split.
+/// Errors over a whole split.
+fn split_row(evaluation: &Evaluation, split: SplitName) -> Option<&Row> {
+    evaluation.rows.iter().find(|r| r.split == split.as_str() && r.level.is_none())
+}
+
 fn test_row(evaluation: &Evaluation) -> Option<&Row> {
-    evaluation.rows.iter().find(|r| r.split == SplitName::Test.as_str() && r.level.is_none())
+    split_row(evaluation, SplitName::Test)
 }
 
 /// Who won, by how much and at what price; whether the other metrics agree.
@@ -313,13 +317,22 @@ fn verdict(models: &[Model], evaluations: &[Evaluation]) -> String {
         (Some(b), Some(o)) => format!(" at {:.2} times the time a query", o.ns_per_query / b.ns_per_query),
         _ => String::new(),
     };
+    let elsewhere: Vec<String> = [SplitName::Offgrid, SplitName::Grazing]
+        .into_iter()
+        .filter_map(|split| {
+            let change = split_row(o, split)?.errors.mse / split_row(b, split)?.errors.mse - 1.0;
+            Some(format!("{:+.0} % on {split}", 100.0 * change))
+        })
+        .collect();
     format!(
-        "On held-out directions, all levels, {} has {:.0} % {word} mse than {} ({:.2} against {:.2} x 10^-3){cost}; {agreement}.",
+        "On held-out directions, all levels, {} has {:.0} % {word} mse than {} ({:.2} against {:.2} x 10^-3){cost}; \
+         {agreement}; {}.",
         ours.name,
         100.0 * (ratio - 1.0).abs(),
         baseline.name,
         ro.errors.mse * 1e3,
-        rb.errors.mse * 1e3
+        rb.errors.mse * 1e3,
+        elsewhere.join(", ")
     )
 }
 
