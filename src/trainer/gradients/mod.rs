@@ -3,6 +3,9 @@
 //! Chunks spread over the cores, keep every tensor small, and depend on the batch alone, so a step gives the same bytes on
 //! any number of threads.
 
+#[cfg(test)]
+mod tests;
+
 use crate::config::Term;
 use crate::dataset::Block;
 use crate::error::Result;
