@@ -15,7 +15,7 @@ use crate::config::Config;
 use crate::error::{Error, Result};
 use neumip_export::checkpoint::Checkpoint;
 use neumip_export::tensors::{Tensor, read_tensors, write_tensors};
-use neumip_export::whole_file::write_whole;
+use neumip_export::whole_file::write_json;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -135,9 +135,7 @@ impl RunFolder {
     /// # Errors
     /// `File` if it cannot be written.
     pub fn write_json(&self, name: &str, value: &impl Serialize) -> Result<()> {
-        let path = self.path.join(name);
-        let text = serde_json::to_string_pretty(value).map_err(|e| Error::file(&path, e))?;
-        Ok(write_whole(&path, format!("{text}\n").as_bytes())?)
+        Ok(write_json(&self.path.join(name), value)?)
     }
 
     /// Writes the best checkpoint.

@@ -132,11 +132,16 @@ fn metal(f0: f32, alpha: f32) -> Brdf {
 }
 
 #[test]
-fn white_metal_loses_little() {
-    for degrees in [0.0_f32, 30.0, 45.0] {
+fn white_metal_keeps_its_albedo() {
+    for degrees in [0.0_f32, 30.0, 45.0, 60.0, 70.0] {
         let (sin, cos) = degrees.to_radians().sin_cos();
         let returned = |f0: f32| albedo(&metal(f0, 0.1), [sin, 0.0, cos], 20_000).0;
         let white = returned(1.0);
+        println!("albedo of white metal of alpha 0.1 seen at {degrees} degrees: {white:.3}");
+        // Beyond, more light would have to bounce on between the facets than this bound allows to be lost.
+        if degrees > 45.0 {
+            continue;
+        }
         assert!((LEAST_METAL_ALBEDO..=1.0 + PATH_ROUNDING).contains(&white), "{degrees}: {white}");
         assert!(returned(0.97) < LEAST_METAL_ALBEDO, "3 % of absorption must show");
     }

@@ -23,6 +23,15 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
+/// Writes `value` to `path` as indented JSON, whole.
+///
+/// # Errors
+/// `File`, naming the path.
+pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
+    let text = serde_json::to_string_pretty(value).map_err(|e| Error::file(path, e))?;
+    write_whole(path, format!("{text}\n").as_bytes())
+}
+
 /// A new folder beside `path`, removed when dropped unless it was renamed to its place.
 pub(crate) fn sibling_folder(path: &Path) -> Result<tempfile::TempDir> {
     builder(0o777)

@@ -35,12 +35,12 @@ const PARTS: [&str; 8] = [
 ];
 /// Held-out splits of the error table.
 const SPLITS: [SplitName; 3] = [SplitName::Test, SplitName::Offgrid, SplitName::Grazing];
-/// Rounds and queries of the timing: a demo's worth.
+/// Queries and rounds of the timing: a demo's worth.
 const TIMING: [usize; 2] = [65_536, 5];
 /// Rendered slices and patches on the page.
 const FINEST_PANELS: usize = 3;
 const COARSE_LEVELS: [f32; 2] = [1.0, 2.0];
-/// Unique training samples a texel, held-out pairs and rays, picture side: about a minute of rendering on two cores.
+/// Unique training samples a texel, held-out pairs of directions, side of the views: half a minute of rendering on two cores.
 const SAMPLES_PER_TEXEL: u64 = 120;
 const TEST_PAIRS: usize = 8;
 const VIEW_SIZE: usize = 192;
@@ -94,6 +94,7 @@ struct Model {
 impl Demo {
     /// Runs the command.
     pub fn run(self, console: &Console) -> Result<()> {
+        super::check_json(self.json.as_deref())?;
         let clock = Instant::now();
         let config = self.generation();
         let reference = generate::reference(&self.material, 0, &config)?;
@@ -143,9 +144,7 @@ impl Demo {
                 .collect();
             write_whole(&self.out.join("picture.png"), &report::picture::strip(&images, 1.0)?)?;
         }
-        if let Some(path) = &self.json {
-            super::write_json(path, &figures)?;
-        }
+        super::save_json(self.json.as_deref(), &figures)?;
         console.say(&report.verdict);
         console.say(format!("{seconds:.0} s; open {}", self.out.join("report.html").display()));
         Ok(())
@@ -230,7 +229,10 @@ impl Demo {
                 "Material",
                 format!("{} at {} x {}", data.manifest().material, self.resolution, self.resolution),
             ),
-            fact("Training data", format!("{:.0} unique samples a texel, {} rays each", unique / texels, 16)),
+            fact(
+                "Training data",
+                format!("{:.0} unique samples a texel, {} rays each", unique / texels, self.generation().spp),
+            ),
             fact(
                 "Presented",
                 format!("{:.0} samples a texel: {} steps of {}", presented / texels, self.steps, self.batch),

@@ -83,9 +83,7 @@ impl Evaluate {
         };
         let evaluations =
             evaluate(&self.runs, &data, &splits, &self.device, [self.queries, self.rounds], console)?;
-        if let Some(path) = &self.json {
-            super::write_json(path, &evaluations)?;
-        }
+        super::save_json(self.json.as_deref(), &evaluations)?;
         console.answer(text_table(&evaluations))
     }
 }

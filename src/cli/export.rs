@@ -40,10 +40,7 @@ impl Export {
             "material.onnx answers within {:.1e} (1 + |value|) of the model",
             bundle.difference
         ));
-        match &self.json {
-            Some(path) => super::write_json(path, &bundle),
-            None => Ok(()),
-        }
+        super::save_json(self.json.as_deref(), &bundle)
     }
 }
 

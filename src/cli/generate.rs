@@ -82,10 +82,7 @@ impl Generate {
         };
         let reference = reference(&self.material, self.material_seed, &config)?;
         let data = dataset(&reference, &config, &self.out, existing, console)?;
-        match &self.json {
-            Some(path) => super::write_json(path, data.manifest()),
-            None => Ok(()),
-        }
+        super::save_json(self.json.as_deref(), data.manifest())
     }
 }
 

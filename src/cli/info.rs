@@ -25,9 +25,7 @@ impl Info {
     pub fn run(self, console: &Console) -> Result<()> {
         let value = describe(&self.path)?;
         let text = serde_json::to_string_pretty(&value).map_err(|e| Error::file(&self.path, e))?;
-        if let Some(path) = &self.json {
-            super::write_json(path, &value)?;
-        }
+        super::save_json(self.json.as_deref(), &value)?;
         console.answer(text)
     }
 }

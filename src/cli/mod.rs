@@ -10,6 +10,7 @@ mod train;
 
 use crate::error::{Error, Result};
 use clap::{Parser, Subcommand};
+use neumip_export::whole_file::write_json;
 use std::path::Path;
 
 /// Neural materials that other renderers can use.
@@ -92,10 +93,12 @@ fn check_json(path: Option<&Path>) -> Result<()> {
     Ok(())
 }
 
-/// Writes a JSON file whole.
-fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
-    let text = serde_json::to_string_pretty(value).map_err(|e| Error::file(path, e))?;
-    Ok(neumip_export::whole_file::write_whole(path, format!("{text}\n").as_bytes())?)
+/// Writes what `--json` asked for.
+fn save_json(path: Option<&Path>, value: &impl serde::Serialize) -> Result<()> {
+    match path {
+        Some(path) => Ok(write_json(path, value)?),
+        None => Ok(()),
+    }
 }
 
 /// Bytes from a text such as `512M` or `2G`.

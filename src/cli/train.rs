@@ -80,10 +80,7 @@ impl Train {
             Trainer::new(self.config()?, &data, &self.out, self.force, self.memory, &device)?
         };
         train(&mut trainer, &format!("train {}", self.out.display()), console)?;
-        match &self.json {
-            Some(path) => super::write_json(path, trainer.progress()),
-            None => Ok(()),
-        }
+        super::save_json(self.json.as_deref(), trainer.progress())
     }
 
     fn config(&self) -> Result<Config> {

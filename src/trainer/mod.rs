@@ -93,7 +93,7 @@ impl Trainer {
         let architecture = Architecture::new(config.model.clone(), data.resolution())?;
         let variables = Variables::initial(&architecture, config.train.seed, device)?;
         let optimiser = Optimiser::new(&variables, config.train.adam)?;
-        let sources = Sources::open(&config, data, memory)?;
+        let sources = Sources::open(&config, data, memory, 0)?;
         let folder =
             RunFolder::create(out, &RunRecord::new(config.clone(), data.identity()?, memory), force)?;
         let this = Self::assemble(config, architecture, variables, optimiser, sources, data, folder, device)?;
@@ -115,7 +115,6 @@ impl Trainer {
             ));
         }
         let config = record.config;
-        config.train.validate()?;
         let architecture = Architecture::new(config.model.clone(), data.resolution())?;
         let state = folder.load_last()?;
         let part = |prefix: &str| {
@@ -128,14 +127,14 @@ impl Trainer {
         let restore = |prefix: &str| Variables::from_stored(&architecture, &part(prefix), device);
         let variables = restore("value.")?;
         let optimiser = Optimiser::restored(restore("first.")?, restore("second.")?, config.train.adam);
-        let sources = Sources::open(&config, data, record.memory)?;
+        let progress: Progress = serde_json::from_value(state.progress).map_err(|e| Error::file(out, e))?;
+        let sources = Sources::open(&config, data, record.memory, progress.step)?;
         let mut this =
             Self::assemble(config, architecture, variables, optimiser, sources, data, folder, device)?;
-        this.progress = serde_json::from_value(state.progress).map_err(|e| Error::file(out, e))?;
+        this.progress = progress;
         if this.progress.stage >= this.stages.len() || !this.progress.fraction.is_finite() {
             return Err(Error::file(out, "its saved progress does not fit its configuration"));
         }
-        this.stream.seek(this.progress.step);
         Ok(this)
     }
 
@@ -405,13 +404,15 @@ struct Sources {
 }
 
 impl Sources {
-    fn open(config: &Config, data: &Dataset, memory: usize) -> Result<Self> {
+    /// The sources of a run that is about to take step `step`.
+    fn open(config: &Config, data: &Dataset, memory: usize, step: u64) -> Result<Self> {
         let train = &config.train;
         let pieces = train.batch / (train.piece * train.piece);
         let mut stream = Stream::new(data, SplitName::Train, train.piece, pieces, memory, train.seed)?;
-        // Damaged data is better found before a run's folder is made.
+        // Damaged data is better found before a run's folder is made; what is read here is the first step's.
+        stream.seek(step);
         stream.next_batch()?;
-        stream.seek(0);
+        stream.seek(step);
         let split = data.split(SplitName::Validation)?;
         let mut validation = Vec::new();
         for file in 0..split.files() {
