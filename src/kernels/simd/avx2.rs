@@ -1,0 +1,212 @@
+//! AVX2 with FMA and F16C: vectors of 8.
+
+use super::x86::texels;
+use super::{Simd, TEXEL, Work};
+use std::arch::x86_64::*;
+
+const N: usize = 8;
+
+/// Proof that the machine has the instructions: only [`enter`] makes one.
+#[derive(Clone, Copy)]
+pub struct Avx2(());
+
+/// True if the machine has the instructions.
+pub fn present() -> bool {
+    is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") && is_x86_feature_detected!("f16c")
+}
+
+/// Runs a kernel; panics on a machine without the instructions.
+pub fn enter<W: Work>(work: W) -> W::Output {
+    #[target_feature(enable = "avx2,fma,f16c")]
+    fn inside<W: Work>(work: W) -> W::Output {
+        work.run(Avx2(()))
+    }
+    assert!(present(), "an instruction set that this machine has not");
+    // SAFETY: the machine was asked.
+    unsafe { inside(work) }
+}
+
+/// Lane i of the result is the sum of the lanes of row i: three rounds of halving, interleaving as they go.
+///
+/// # Safety
+/// The machine has AVX2.
+#[inline(always)]
+unsafe fn sum_rows(r: [__m256; N]) -> __m256 {
+    // SAFETY: the caller has AVX2; nothing here touches memory.
+    unsafe {
+        let mut pairs = [r[0]; 4];
+        for i in 0..4 {
+            let (a, b) = (r[2 * i], r[2 * i + 1]);
+            pairs[i] = _mm256_add_ps(_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b));
+        }
+        let mut quads = [r[0]; 2];
+        for i in 0..2 {
+            let (a, b) = (_mm256_castps_pd(pairs[2 * i]), _mm256_castps_pd(pairs[2 * i + 1]));
+            let (low, high) = (_mm256_unpacklo_pd(a, b), _mm256_unpackhi_pd(a, b));
+            quads[i] = _mm256_add_ps(_mm256_castpd_ps(low), _mm256_castpd_ps(high));
+        }
+        let (a, b) = (quads[0], quads[1]);
+        _mm256_add_ps(_mm256_permute2f128_ps::<0x20>(a, b), _mm256_permute2f128_ps::<0x31>(a, b))
+    }
+}
+
+impl Simd for Avx2 {
+    const LANES: usize = N;
+    const OUTPUTS: usize = 6;
+    const SQUARE: usize = 3;
+    type F = __m256;
+    type I = __m256i;
+    type M = __m256;
+    type T = __m256;
+
+    #[inline(always)]
+    fn load(self, from: &[f32]) -> __m256 {
+        let from = &from[..N];
+        // SAFETY: the token proves the instructions; the slice has the lanes.
+        unsafe { _mm256_loadu_ps(from.as_ptr()) }
+    }
+    #[inline(always)]
+    fn store(self, to: &mut [f32], x: __m256) {
+        let to = &mut to[..N];
+        // SAFETY: the token proves the instructions; the slice has the lanes.
+        unsafe { _mm256_storeu_ps(to.as_mut_ptr(), x) }
+    }
+    #[inline(always)]
+    fn int_store(self, to: &mut [u32], a: __m256i) {
+        let to = &mut to[..N];
+        // SAFETY: the token proves the instructions; the slice has the lanes.
+        unsafe { _mm256_storeu_si256(to.as_mut_ptr().cast(), a) }
+    }
+    #[inline(always)]
+    fn splat(self, x: f32) -> __m256 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_set1_ps(x) }
+    }
+    #[inline(always)]
+    fn add(self, a: __m256, b: __m256) -> __m256 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_add_ps(a, b) }
+    }
+    #[inline(always)]
+    fn sub(self, a: __m256, b: __m256) -> __m256 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_sub_ps(a, b) }
+    }
+    #[inline(always)]
+    fn mul(self, a: __m256, b: __m256) -> __m256 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_mul_ps(a, b) }
+    }
+    #[inline(always)]
+    fn div(self, a: __m256, b: __m256) -> __m256 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_div_ps(a, b) }
+    }
+    #[inline(always)]
+    fn max(self, a: __m256, b: __m256) -> __m256 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_max_ps(a, b) }
+    }
+    #[inline(always)]
+    fn min(self, a: __m256, b: __m256) -> __m256 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_min_ps(a, b) }
+    }
+    #[inline(always)]
+    fn fma(self, a: __m256, b: __m256, c: __m256) -> __m256 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_fmadd_ps(a, b, c) }
+    }
+    #[inline(always)]
+    fn sqrt(self, a: __m256) -> __m256 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_sqrt_ps(a) }
+    }
+    #[inline(always)]
+    fn floor(self, a: __m256) -> __m256 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_floor_ps(a) }
+    }
+    #[inline(always)]
+    fn greater(self, a: __m256, b: __m256) -> __m256 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_cmp_ps::<_CMP_GT_OQ>(a, b) }
+    }
+    #[inline(always)]
+    fn select(self, mask: __m256, a: __m256, b: __m256) -> __m256 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_blendv_ps(b, a, mask) }
+    }
+    #[inline(always)]
+    fn sums<const M: usize>(self, rows: &[__m256; M], out: &mut [f32; M]) {
+        for start in (0..M).step_by(N) {
+            let mut group = [self.splat(0.0); N];
+            for i in 0..N {
+                if start + i < M {
+                    group[i] = rows[start + i];
+                }
+            }
+            let mut sums = [0.0; N];
+            // SAFETY: the token proves the instructions.
+            self.store(&mut sums, unsafe { sum_rows(group) });
+            let n = N.min(M - start);
+            out[start..start + n].copy_from_slice(&sums[..n]);
+        }
+    }
+    #[inline(always)]
+    fn int(self, x: i32) -> __m256i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_set1_epi32(x) }
+    }
+    #[inline(always)]
+    fn truncate(self, a: __m256) -> __m256i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_cvttps_epi32(a) }
+    }
+    #[inline(always)]
+    fn float(self, a: __m256i) -> __m256 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_cvtepi32_ps(a) }
+    }
+    #[inline(always)]
+    fn bits(self, a: __m256) -> __m256i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_castps_si256(a) }
+    }
+    #[inline(always)]
+    fn from_bits(self, a: __m256i) -> __m256 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_castsi256_ps(a) }
+    }
+    #[inline(always)]
+    fn int_add(self, a: __m256i, b: __m256i) -> __m256i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_add_epi32(a, b) }
+    }
+    #[inline(always)]
+    fn int_mul(self, a: __m256i, b: __m256i) -> __m256i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_mullo_epi32(a, b) }
+    }
+    #[inline(always)]
+    fn int_and(self, a: __m256i, b: __m256i) -> __m256i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_and_si256(a, b) }
+    }
+    #[inline(always)]
+    fn int_xor(self, a: __m256i, b: __m256i) -> __m256i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_xor_si256(a, b) }
+    }
+    #[inline(always)]
+    fn int_up<const B: u32>(self, a: __m256i) -> __m256i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_sll_epi32(a, _mm_cvtsi32_si128(B as i32)) }
+    }
+    #[inline(always)]
+    fn int_down<const B: u32>(self, a: __m256i) -> __m256i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm256_srl_epi32(a, _mm_cvtsi32_si128(B as i32)) }
+    }
+    texels!();
+}

@@ -1,0 +1,225 @@
+//! AVX-512: vectors of 16.
+
+use super::x86::texels;
+use super::{Simd, TEXEL, Work};
+use std::arch::x86_64::*;
+
+const N: usize = 16;
+
+/// Proof that the machine has the instructions: only [`enter`] makes one.
+#[derive(Clone, Copy)]
+pub struct Avx512(());
+
+/// True if the machine has the instructions.
+pub fn present() -> bool {
+    is_x86_feature_detected!("avx512f")
+        && is_x86_feature_detected!("avx512vl")
+        && is_x86_feature_detected!("avx512dq")
+        && is_x86_feature_detected!("avx512bw")
+        && super::avx2::present()
+}
+
+/// Runs a kernel; panics on a machine without the instructions.
+pub fn enter<W: Work>(work: W) -> W::Output {
+    #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma,f16c")]
+    fn inside<W: Work>(work: W) -> W::Output {
+        work.run(Avx512(()))
+    }
+    assert!(present(), "an instruction set that this machine has not");
+    // SAFETY: the machine was asked.
+    unsafe { inside(work) }
+}
+
+/// Sums of neighbouring 128-bit quarters of `a`, then of `b`.
+///
+/// # Safety
+/// The machine has AVX-512.
+#[inline(always)]
+unsafe fn fold(a: __m512, b: __m512) -> __m512 {
+    // SAFETY: the caller has AVX-512.
+    unsafe { _mm512_add_ps(_mm512_shuffle_f32x4::<0x88>(a, b), _mm512_shuffle_f32x4::<0xdd>(a, b)) }
+}
+
+/// Lane i of the result is the sum of the lanes of row i: three rounds of halving, interleaving as they go.
+///
+/// # Safety
+/// The machine has AVX-512.
+#[inline(always)]
+unsafe fn sum_rows(r: [__m512; N]) -> __m512 {
+    // SAFETY: the caller has AVX-512; nothing here touches memory.
+    unsafe {
+        let mut pairs = [r[0]; 8];
+        for i in 0..8 {
+            let (a, b) = (r[2 * i], r[2 * i + 1]);
+            pairs[i] = _mm512_add_ps(_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b));
+        }
+        let mut quads = [r[0]; 4];
+        for i in 0..4 {
+            let (a, b) = (_mm512_castps_pd(pairs[2 * i]), _mm512_castps_pd(pairs[2 * i + 1]));
+            let (low, high) = (_mm512_unpacklo_pd(a, b), _mm512_unpackhi_pd(a, b));
+            quads[i] = _mm512_add_ps(_mm512_castpd_ps(low), _mm512_castpd_ps(high));
+        }
+        fold(fold(quads[0], quads[1]), fold(quads[2], quads[3]))
+    }
+}
+
+impl Simd for Avx512 {
+    const LANES: usize = N;
+    const OUTPUTS: usize = 13;
+    const SQUARE: usize = 5;
+    type F = __m512;
+    type I = __m512i;
+    type M = __mmask16;
+    type T = __m256;
+
+    #[inline(always)]
+    fn load(self, from: &[f32]) -> __m512 {
+        let from = &from[..N];
+        // SAFETY: the token proves the instructions; the slice has the lanes.
+        unsafe { _mm512_loadu_ps(from.as_ptr()) }
+    }
+    #[inline(always)]
+    fn store(self, to: &mut [f32], x: __m512) {
+        let to = &mut to[..N];
+        // SAFETY: the token proves the instructions; the slice has the lanes.
+        unsafe { _mm512_storeu_ps(to.as_mut_ptr(), x) }
+    }
+    #[inline(always)]
+    fn int_store(self, to: &mut [u32], a: __m512i) {
+        let to = &mut to[..N];
+        // SAFETY: the token proves the instructions; the slice has the lanes.
+        unsafe { _mm512_storeu_si512(to.as_mut_ptr().cast(), a) }
+    }
+    #[inline(always)]
+    fn splat(self, x: f32) -> __m512 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_set1_ps(x) }
+    }
+    #[inline(always)]
+    fn add(self, a: __m512, b: __m512) -> __m512 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_add_ps(a, b) }
+    }
+    #[inline(always)]
+    fn sub(self, a: __m512, b: __m512) -> __m512 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_sub_ps(a, b) }
+    }
+    #[inline(always)]
+    fn mul(self, a: __m512, b: __m512) -> __m512 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_mul_ps(a, b) }
+    }
+    #[inline(always)]
+    fn div(self, a: __m512, b: __m512) -> __m512 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_div_ps(a, b) }
+    }
+    #[inline(always)]
+    fn max(self, a: __m512, b: __m512) -> __m512 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_max_ps(a, b) }
+    }
+    #[inline(always)]
+    fn min(self, a: __m512, b: __m512) -> __m512 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_min_ps(a, b) }
+    }
+    #[inline(always)]
+    fn fma(self, a: __m512, b: __m512, c: __m512) -> __m512 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_fmadd_ps(a, b, c) }
+    }
+    #[inline(always)]
+    fn sqrt(self, a: __m512) -> __m512 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_sqrt_ps(a) }
+    }
+    #[inline(always)]
+    fn floor(self, a: __m512) -> __m512 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_roundscale_ps::<0x09>(a) }
+    }
+    #[inline(always)]
+    fn greater(self, a: __m512, b: __m512) -> __mmask16 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_cmp_ps_mask::<_CMP_GT_OQ>(a, b) }
+    }
+    #[inline(always)]
+    fn select(self, mask: __mmask16, a: __m512, b: __m512) -> __m512 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_mask_blend_ps(mask, b, a) }
+    }
+    #[inline(always)]
+    fn sums<const M: usize>(self, rows: &[__m512; M], out: &mut [f32; M]) {
+        for start in (0..M).step_by(N) {
+            let mut group = [self.splat(0.0); N];
+            for i in 0..N {
+                if start + i < M {
+                    group[i] = rows[start + i];
+                }
+            }
+            let mut sums = [0.0; N];
+            // SAFETY: the token proves the instructions.
+            self.store(&mut sums, unsafe { sum_rows(group) });
+            let n = N.min(M - start);
+            out[start..start + n].copy_from_slice(&sums[..n]);
+        }
+    }
+    #[inline(always)]
+    fn int(self, x: i32) -> __m512i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_set1_epi32(x) }
+    }
+    #[inline(always)]
+    fn truncate(self, a: __m512) -> __m512i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_cvttps_epi32(a) }
+    }
+    #[inline(always)]
+    fn float(self, a: __m512i) -> __m512 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_cvtepi32_ps(a) }
+    }
+    #[inline(always)]
+    fn bits(self, a: __m512) -> __m512i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_castps_si512(a) }
+    }
+    #[inline(always)]
+    fn from_bits(self, a: __m512i) -> __m512 {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_castsi512_ps(a) }
+    }
+    #[inline(always)]
+    fn int_add(self, a: __m512i, b: __m512i) -> __m512i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_add_epi32(a, b) }
+    }
+    #[inline(always)]
+    fn int_mul(self, a: __m512i, b: __m512i) -> __m512i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_mullo_epi32(a, b) }
+    }
+    #[inline(always)]
+    fn int_and(self, a: __m512i, b: __m512i) -> __m512i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_and_si512(a, b) }
+    }
+    #[inline(always)]
+    fn int_xor(self, a: __m512i, b: __m512i) -> __m512i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_xor_si512(a, b) }
+    }
+    #[inline(always)]
+    fn int_up<const B: u32>(self, a: __m512i) -> __m512i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_slli_epi32::<B>(a) }
+    }
+    #[inline(always)]
+    fn int_down<const B: u32>(self, a: __m512i) -> __m512i {
+        // SAFETY: the token proves the instructions.
+        unsafe { _mm512_srli_epi32::<B>(a) }
+    }
+    texels!();
+}
