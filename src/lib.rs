@@ -23,6 +23,7 @@ pub mod checkpoint;
 pub mod cli;
 pub mod config;
 pub mod dataset;
+pub mod engine;
 pub mod error;
 pub mod evaluate;
 pub mod golden;

@@ -3,6 +3,7 @@
 mod command_line;
 mod dataset;
 mod demo;
+mod engine;
 mod house;
 mod model;
 mod onnx;

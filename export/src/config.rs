@@ -314,6 +314,14 @@ impl Architecture {
         widths(self.decoder_inputs(), hidden, self.decoder_outputs())
     }
 
+    /// Channels of the offset texture, where there is one.
+    pub fn offset_channels(&self) -> Option<usize> {
+        match &self.model.parallax {
+            ParallaxConfig::None {} => None,
+            ParallaxConfig::Offset(offset) => Some(offset.channels),
+        }
+    }
+
     /// Layer widths of the offset network, where there is one.
     pub fn offset_widths(&self) -> Option<Vec<usize>> {
         match &self.model.parallax {

@@ -3,7 +3,7 @@
 mod schedule;
 mod stages;
 
-pub use schedule::{AdamConfig, Blend, Budget, Decay, LearningRate, Smoothing};
+pub use schedule::{AdamConfig, Blend, Budget, Decay, LearningRate, Smoothing, TextureUpdates};
 pub use stages::{Plateau, Remap, Stage, StagePlan, Term, TermKind};
 
 use crate::error::{Error, Result};
@@ -39,6 +39,9 @@ pub struct TrainConfig {
     pub adam: AdamConfig,
     /// Gaussian smoothing of the textures while training.
     pub smoothing: Option<Smoothing>,
+    /// How often textures are updated and read anew.
+    #[serde(default)]
+    pub textures: TextureUpdates,
     /// Early blending of the stored pyramid towards its blur.
     pub blend: Option<Blend>,
     /// Share of the run after which the offset texture stops learning.
@@ -51,6 +54,19 @@ pub struct TrainConfig {
     pub stages: StagePlan,
     /// Validations during the run.
     pub validations: usize,
+    /// What computes the steps; absent: fused on the CPU, candle on other devices.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub engine: Option<EngineKind>,
+}
+
+/// What computes steps and answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum EngineKind {
+    /// Fused kernels; CPU only.
+    Fused,
+    /// candle's graph, on any device.
+    Candle,
 }
 
 /// Names of the built-in presets.
@@ -154,6 +170,13 @@ impl TrainConfig {
             if all.iter().any(|v| !v.is_finite() || *v < 0.0 || *v > 1e3) || s.start <= 0.0 {
                 return fail("smoothing", "every value must be in 0 to 1000, start above 0".into());
             }
+        }
+        let textures = &self.textures;
+        if !(1..=4096).contains(&textures.every) {
+            return fail("textures.every", format!("{} is outside 1 to 4096", textures.every));
+        }
+        if !finite_positive(textures.rate) {
+            return fail("textures.rate", format!("{} is not positive", textures.rate));
         }
         if let Some(b) = &self.blend
             && !(share(b.until)

@@ -96,6 +96,34 @@ impl Layout {
         stack((0..self.side).map(|row| (self, row)), self.side, resolution)
     }
 
+    /// All samples as rows of the components of u, wi and wo, of `side * side` values each.
+    ///
+    /// # Panics
+    /// If a row has another length.
+    pub fn rows(&self, resolution: [usize; 2], rows: [&mut [f32]; 6]) {
+        let [ux, uy, wix, wiy, wox, woy] = rows;
+        let (side, patch) = (self.side, self.patch);
+        let step = f64::from(self.level).exp2();
+        let at = |corner: f32, index: usize, texels: usize| {
+            wrap(f64::from(corner) + (index as f64 + 0.5) * step / texels as f64)
+        };
+        for (k, of_patch) in self.patches.iter().enumerate() {
+            let first = (k / (side / patch) * side + k % (side / patch)) * patch;
+            for column in 0..patch {
+                ux[first + column] = at(of_patch.corner[0], column, resolution[1]);
+            }
+            for row in 0..patch {
+                let line = first + row * side..first + row * side + patch;
+                ux.copy_within(first..first + patch, line.start);
+                uy[line.clone()].fill(at(of_patch.corner[1], row, resolution[0]));
+                wix[line.clone()].fill(of_patch.wi[0]);
+                wiy[line.clone()].fill(of_patch.wi[1]);
+                wox[line.clone()].fill(of_patch.wo[0]);
+                woy[line].fill(of_patch.wo[1]);
+            }
+        }
+    }
+
     /// Checks that pieces of side `side` tile the block without cutting a patch unevenly.
     ///
     /// # Errors

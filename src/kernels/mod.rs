@@ -1,7 +1,15 @@
-//! CPU loops on slices. Nothing here knows candle but [`custom_op`].
+//! CPU loops on slices, for every instruction set the machine has. Nothing here knows candle but [`custom_op`].
 
 pub mod adam;
 pub mod custom_op;
 pub mod encoding;
+pub mod encoding_rows;
+pub mod fetch;
+pub mod loss;
+pub mod math;
+pub mod mlp;
+pub mod output;
+pub mod rows;
+pub mod simd;
 pub mod smooth;
 pub mod taps;

@@ -2,10 +2,11 @@
 
 use crate::error::{Error, Result};
 use crate::random::{Random, Stream};
-use candle_core::{Device, Tensor, Var};
+use candle_core::{CpuStorage, Device, Storage, Tensor, Var};
 use neumip_export::Tensor as StoredTensor;
 use neumip_export::config::{Architecture, OFFSET_TEXTURE};
 use std::collections::BTreeMap;
+use std::ops::{Deref, Range};
 
 /// Named variables in the order of [`Architecture::tensors`].
 pub struct Variables(Vec<(String, Var)>);
@@ -80,6 +81,20 @@ impl Variables {
             .ok_or_else(|| Error::config(name, "this tensor is missing"))
     }
 
+    /// A variable's values, where it is on the CPU.
+    ///
+    /// # Errors
+    /// `Config` if there is none of that name, or its values are not in host memory.
+    pub fn values(&self, name: &str) -> Result<Values<'_>> {
+        let (storage, layout) = self.get(name)?.as_tensor().storage_and_layout();
+        match (&*storage, layout.contiguous_offsets()) {
+            (Storage::Cpu(CpuStorage::F32(_)), Some((start, end))) => {
+                Ok(Values { storage: Box::new(storage), range: start..end })
+            },
+            _ => Err(Error::config(name, "its values are not in host memory")),
+        }
+    }
+
     /// Names and variables in order.
     pub fn iter(&self) -> impl Iterator<Item = (&str, &Var)> {
         self.0.iter().map(|(n, v)| (n.as_str(), v))
@@ -100,4 +115,25 @@ impl Variables {
 /// Whatever candle refuses.
 pub fn to_stored(tensor: &Tensor) -> Result<StoredTensor> {
     Ok(StoredTensor { shape: tensor.dims().to_vec(), data: tensor.flatten_all()?.to_vec1()? })
+}
+
+/// A variable's values on the CPU, borrowed; nothing may change the variable meanwhile.
+pub struct Values<'a> {
+    storage: Box<dyn Deref<Target = Storage> + 'a>,
+    range: Range<usize>,
+}
+
+impl Values<'_> {
+    /// The values, row-major.
+    pub fn slice(&self) -> &[f32] {
+        match &**self.storage {
+            Storage::Cpu(CpuStorage::F32(all)) => &all[self.range.clone()],
+            _ => &[],
+        }
+    }
+}
+
+/// True for the name of a texture, false for a network's weight or bias.
+pub fn is_texture(name: &str) -> bool {
+    name == OFFSET_TEXTURE || name.starts_with("texture.")
 }

@@ -1,25 +1,30 @@
 //! Training: steps, validations, checkpoints. It emits events and never prints.
 
+mod candle_engine;
 mod diagnosis;
-mod gradients;
+mod engine;
+mod fused_engine;
+mod learner;
 mod optimiser;
 mod progress;
 
+pub use engine::Step;
+pub use learner::Learner;
 pub use progress::{Point, Progress};
 
 use crate::checkpoint::{RunFolder, RunRecord, State};
-use crate::config::{Budget, Config, Stage};
+use crate::config::{Budget, Config, EngineKind, Stage};
 use crate::dataset::{Block, Dataset, SplitName, Stream};
 use crate::error::{Error, Result};
 use crate::metrics::ErrorSum;
 use crate::model::texture::{Sigmas, smoothed};
+use crate::engine::FusedMaterial;
 use crate::model::{Networks, NeuralMaterial, Tables, Variables};
 use crate::query::Reflectance;
 use crate::random::{Random, Stream as RandomStream};
 use candle_core::Device;
 use neumip_export::checkpoint::{Checkpoint, Header};
-use neumip_export::config::{Architecture, OFFSET_TEXTURE};
-use optimiser::Optimiser;
+use neumip_export::config::Architecture;
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Instant;
@@ -64,9 +69,7 @@ pub type Listener<'a> = dyn FnMut(&Event) -> ControlFlow<()> + 'a;
 pub struct Trainer {
     config: Config,
     stages: Vec<Stage>,
-    networks: Networks,
-    variables: Variables,
-    optimiser: Optimiser,
+    learner: Learner,
     stream: Stream,
     validation: Vec<Block>,
     header: Header,
@@ -74,6 +77,8 @@ pub struct Trainer {
     folder: RunFolder,
     data: String,
     device: Device,
+    /// Share of the run done when the textures were last updated.
+    updated: f64,
 }
 
 impl Trainer {
@@ -92,11 +97,12 @@ impl Trainer {
         config.train.validate()?;
         let architecture = Architecture::new(config.model.clone(), data.resolution())?;
         let variables = Variables::initial(&architecture, config.train.seed, device)?;
-        let optimiser = Optimiser::new(&variables, config.train.adam)?;
+        let train = &config.train;
+        let learner = Learner::new(&architecture, variables, train.adam, train.engine, device)?;
         let sources = Sources::open(&config, data, memory, 0)?;
         let folder =
             RunFolder::create(out, &RunRecord::new(config.clone(), data.identity()?, memory), force)?;
-        let this = Self::assemble(config, architecture, variables, optimiser, sources, data, folder, device)?;
+        let this = Self::assemble(config, learner, sources, data, folder, device)?;
         // From the first moment on there is something to resume.
         this.save_last()?;
         Ok(this)
@@ -126,11 +132,14 @@ impl Trainer {
         };
         let restore = |prefix: &str| Variables::from_stored(&architecture, &part(prefix), device);
         let variables = restore("value.")?;
-        let optimiser = Optimiser::restored(restore("first.")?, restore("second.")?, config.train.adam);
+        let moments = [restore("first.")?, restore("second.")?];
+        let train = &config.train;
+        let learner =
+            Learner::restored(&architecture, variables, moments, train.adam, train.engine, device)?;
         let progress: Progress = serde_json::from_value(state.progress).map_err(|e| Error::file(out, e))?;
         let sources = Sources::open(&config, data, record.memory, progress.step)?;
-        let mut this =
-            Self::assemble(config, architecture, variables, optimiser, sources, data, folder, device)?;
+        let mut this = Self::assemble(config, learner, sources, data, folder, device)?;
+        this.updated = progress.fraction;
         this.progress = progress;
         if this.progress.stage >= this.stages.len() || !this.progress.fraction.is_finite() {
             return Err(Error::file(out, "its saved progress does not fit its configuration"));
@@ -138,12 +147,9 @@ impl Trainer {
         Ok(this)
     }
 
-    #[expect(clippy::too_many_arguments, reason = "the parts of one struct, used by its two constructors")]
     fn assemble(
         config: Config,
-        architecture: Architecture,
-        variables: Variables,
-        optimiser: Optimiser,
+        learner: Learner,
         sources: Sources,
         data: &Dataset,
         folder: RunFolder,
@@ -151,7 +157,7 @@ impl Trainer {
     ) -> Result<Self> {
         let header = Header {
             format: neumip_export::checkpoint::FORMAT,
-            architecture: architecture.clone(),
+            architecture: learner.architecture().clone(),
             height_range: data.manifest().height_range,
             measure: data.manifest().measure,
             material: data.manifest().material.clone(),
@@ -160,9 +166,7 @@ impl Trainer {
         };
         Ok(Self {
             stages: config.train.stages.resolve()?,
-            networks: Networks::new(&architecture, &variables)?,
-            variables,
-            optimiser,
+            learner,
             stream: sources.stream,
             validation: sources.validation,
             header,
@@ -170,6 +174,7 @@ impl Trainer {
             folder,
             data: data.identity()?,
             device: device.clone(),
+            updated: 0.0,
             config,
         })
     }
@@ -191,6 +196,7 @@ impl Trainer {
     pub fn run(&mut self, listener: &mut Listener) -> Result<()> {
         let mut clock = Instant::now();
         let mut next_validation = self.next_validation();
+        let mut stop = false;
         while self.progress.fraction < 1.0 {
             let loss = match self.step() {
                 Ok(loss) => loss,
@@ -210,7 +216,9 @@ impl Trainer {
                 fraction: self.progress.fraction,
                 loss,
             }];
-            let validated = self.progress.fraction >= next_validation - SLACK;
+            // Between two updates of the textures a state would not hold all that the run knows.
+            let whole = self.progress.fraction >= 1.0 || self.between_updates() == 0;
+            let validated = whole && self.progress.fraction >= next_validation - SLACK;
             if validated {
                 next_validation = self.next_validation();
                 events.push(self.validate()?);
@@ -223,11 +231,10 @@ impl Trainer {
             if validated {
                 self.save_last()?;
             }
-            let mut stop = false;
             for event in &events {
                 stop |= listener(event).is_break();
             }
-            if stop && self.progress.fraction < 1.0 {
+            if stop && whole && self.progress.fraction < 1.0 {
                 if !validated {
                     self.save_last()?;
                 }
@@ -258,7 +265,7 @@ impl Trainer {
     }
 
     fn sigmas(&self) -> Sigmas {
-        Sigmas::at(&self.networks.architecture, self.config.train.smoothing.as_ref(), self.progress.fraction)
+        Sigmas::at(self.learner.architecture(), self.config.train.smoothing.as_ref(), self.progress.fraction)
     }
 
     /// One optimiser step; returns its loss.
@@ -266,36 +273,48 @@ impl Trainer {
         let (step, fraction) = (self.progress.step, self.progress.fraction);
         let train = &self.config.train;
         let batch = self.stream.next_batch()?;
-        let sigmas = self.sigmas();
-        let tables = Tables::new(&self.networks.architecture, &self.variables, &sigmas)?;
-        let job = gradients::Job {
-            networks: &self.networks,
-            variables: &self.variables,
-            tables: &tables,
+        let offset_texture = !train.offset_freeze.is_some_and(|share| fraction >= share);
+        let task = Step {
+            pieces: &batch.pieces,
             terms: &self.stages[self.progress.stage].terms,
             target_range: train.target_range,
             highest_level: self.highest_level(step),
-            device: &self.device,
+            offset_texture,
         };
-        let result = job.gradients(&batch.pieces)?;
-        if !result.finite() {
-            let problem = diagnosis::explain(&job, &batch.pieces, step, self.folder.path());
-            return Err(Error::Diverged(problem));
+        let sigmas = self.sigmas();
+        let loss = self.learner.step(&task, &sigmas)?;
+        if !loss.is_finite() {
+            return Err(Error::Diverged(self.explain(&task, &sigmas)?));
         }
-        let loss = result.loss;
         let rate = train.learning_rate.at(fraction);
-        let frozen = train.offset_freeze.is_some_and(|share| fraction >= share);
-        self.optimiser.begin(rate, step + 1);
-        for (name, gradient) in result.by_variable(&self.networks.architecture, &sigmas)? {
-            if !(frozen && name == OFFSET_TEXTURE) {
-                self.optimiser.update(&name, self.variables.get(&name)?, &gradient)?;
-            }
-        }
+        self.learner.update_networks(rate, step + 1)?;
+        let textures = train.textures;
         self.progress.step += 1;
         self.progress.samples += train.batch as u64;
         self.progress.add_loss(loss, self.curve_interval());
-        self.blend()?;
+        if self.between_updates() == 0 || self.fraction() >= 1.0 {
+            let updates = self.progress.step.div_ceil(textures.every);
+            self.learner.update_textures(rate * textures.rate, updates, offset_texture)?;
+            self.blend()?;
+        }
         Ok(loss)
+    }
+
+    /// Steps since the last update of the textures.
+    fn between_updates(&self) -> u64 {
+        self.progress.step % self.config.train.textures.every
+    }
+
+    fn explain(&self, step: &Step, sigmas: &Sigmas) -> Result<String> {
+        let (architecture, variables) = (self.learner.architecture(), self.learner.variables());
+        let job = candle_engine::Job {
+            networks: &Networks::new(architecture, variables)?,
+            variables,
+            tables: &Tables::new(architecture, variables, sigmas)?,
+            step,
+            device: &self.device,
+        };
+        Ok(diagnosis::explain(&job, self.progress.step, self.folder.path()))
     }
 
     /// Steps between two points of the loss curve; with a budget in minutes the count of steps is not known beforehand.
@@ -318,16 +337,16 @@ impl Trainer {
     }
 
     /// NeuMIP's early blending of the stored levels towards their blur.
-    fn blend(&self) -> Result<()> {
+    fn blend(&mut self) -> Result<()> {
         let Some(blend) = self.config.train.blend else {
             return Ok(());
         };
-        let before = self.progress.fraction;
         let after = self.fraction();
+        let before = std::mem::replace(&mut self.updated, after);
         if before >= blend.until || (before / blend.every).floor() == (after / blend.every).floor() {
             return Ok(());
         }
-        for (name, var) in self.variables.iter() {
+        for (name, var) in self.learner.variables().iter() {
             if name.starts_with("texture.") {
                 let stored = var.as_detached_tensor();
                 let blurred = smoothed(&stored, blend.sigma)?;
@@ -338,8 +357,12 @@ impl Trainer {
     }
 
     fn validate(&mut self) -> Result<Event> {
-        let material =
-            NeuralMaterial::new(&self.networks.architecture, &self.variables, &self.sigmas(), &self.device)?;
+        let checkpoint = self.checkpoint()?;
+        let fused = self.device.is_cpu() && self.config.train.engine != Some(EngineKind::Candle);
+        let material: Box<dyn Reflectance> = match fused {
+            true => Box::new(FusedMaterial::from_checkpoint(&checkpoint)?),
+            false => Box::new(NeuralMaterial::from_checkpoint(&checkpoint, &self.device)?),
+        };
         let mut sum = ErrorSum::default();
         for block in &self.validation {
             let queries = block.queries(self.header.architecture.resolution);
@@ -367,8 +390,8 @@ impl Trainer {
     /// Whatever candle refuses.
     pub fn checkpoint(&self) -> Result<Checkpoint> {
         let sigmas = self.sigmas();
-        let mut tensors = self.variables.to_stored()?;
-        for (name, var) in self.variables.iter() {
+        let mut tensors = self.learner.variables().to_stored()?;
+        for (name, var) in self.learner.variables().iter() {
             let sigma = sigmas.of(name);
             if sigma > 0.0 {
                 let texture = smoothed(&var.as_detached_tensor(), sigma)?;
@@ -383,8 +406,8 @@ impl Trainer {
 
     fn save_last(&self) -> Result<()> {
         let mut tensors = std::collections::BTreeMap::new();
-        let (first, second) = self.optimiser.moments();
-        for (prefix, variables) in [("value", &self.variables), ("first", first), ("second", second)] {
+        let (first, second) = self.learner.moments();
+        for (prefix, variables) in [("value", self.learner.variables()), ("first", first), ("second", second)] {
             for (name, tensor) in variables.to_stored()? {
                 tensors.insert(format!("{prefix}.{name}"), tensor);
             }

@@ -97,6 +97,9 @@ pub trait Simd: Copy + Send + Sync {
     /// Writes the first lanes of a slice, which must have as many.
     fn int_store(self, to: &mut [u32], a: Self::I);
 
+    /// Asks for the cache line that holds a value, if there is such a value; a hint and nothing else.
+    fn prefetch<X>(self, all: &[X], at: usize);
+
     /// All channels `x`.
     fn texel_splat(self, x: f32) -> Self::T;
     /// Eight channels.
@@ -201,9 +204,11 @@ impl Isa {
 pub fn dispatch<W: Work>(isa: Isa, work: W) -> W::Output {
     match isa.0 {
         #[cfg(target_arch = "x86_64")]
-        Kind::Avx512 => avx512::enter(work),
+        // SAFETY: an Isa is made of nothing but a set that is present.
+        Kind::Avx512 => unsafe { avx512::enter(work) },
         #[cfg(target_arch = "x86_64")]
-        Kind::Avx2 => avx2::enter(work),
+        // SAFETY: as above.
+        Kind::Avx2 => unsafe { avx2::enter(work) },
         _ => portable::enter(work),
     }
 }

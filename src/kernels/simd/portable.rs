@@ -169,6 +169,8 @@ impl Simd for Portable {
         }
     }
     #[inline(always)]
+    fn prefetch<X>(self, _: &[X], _: usize) {}
+    #[inline(always)]
     fn texel_splat(self, x: f32) -> Self::T {
         [x; TEXEL]
     }

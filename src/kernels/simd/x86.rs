@@ -37,6 +37,13 @@ pub unsafe fn transpose(r: [__m256; TEXEL]) -> [__m256; TEXEL] {
 macro_rules! texels {
     () => {
         #[inline(always)]
+        fn prefetch<X>(self, all: &[X], at: usize) {
+            if let Some(value) = all.get(at) {
+                // SAFETY: every x86-64 has the instruction; the address is of a value of the slice.
+                unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast()) }
+            }
+        }
+        #[inline(always)]
         fn texel_splat(self, x: f32) -> __m256 {
             // SAFETY: the token proves the instructions.
             unsafe { _mm256_set1_ps(x) }

@@ -1,4 +1,4 @@
-//! Loss and gradients of one batch: fixed chunks of pieces, each with its own graph, summed in chunk order.
+//! Steps through candle's graph: fixed chunks of pieces, each with its own graph, summed in chunk order.
 //!
 //! Chunks spread over the cores, keep every tensor small, and depend on the batch alone, so a step gives the same bytes on
 //! any number of threads.
@@ -6,11 +6,12 @@
 #[cfg(test)]
 mod tests;
 
-use crate::config::Term;
+use super::engine::{Engine, Gradient, Step, Take};
 use crate::dataset::Block;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::loss::{Means, Target};
 use crate::model::texture::{Sigmas, smoothed};
+use crate::model::variables::is_texture;
 use crate::model::{Inputs, Networks, Tables, Variables};
 use candle_core::{Device, Tensor, Var};
 use neumip_export::config::{Architecture, OFFSET_TEXTURE, texture_name};
@@ -26,10 +27,7 @@ pub(super) struct Job<'a> {
     pub networks: &'a Networks,
     pub variables: &'a Variables,
     pub tables: &'a Tables,
-    pub terms: &'a [Term],
-    pub target_range: [f32; 2],
-    /// Pieces of a higher level have weight 0.
-    pub highest_level: Option<u32>,
+    pub step: &'a Step<'a>,
     pub device: &'a Device,
 }
 
@@ -52,18 +50,19 @@ pub(super) struct Chunk {
 
 impl Job<'_> {
     /// The batch's loss and gradients.
-    pub fn gradients(&self, pieces: &[Block]) -> Result<Gradients> {
+    pub fn gradients(&self) -> Result<Gradients> {
+        let pieces = self.step.pieces;
         let samples = pieces.iter().map(|p| p.side() * p.side()).sum::<usize>();
         let largest = pieces.first().map_or(1, |p| p.side() * p.side());
         let per_chunk = (samples.div_ceil(MOST_CHUNKS).max(CHUNK_SAMPLES) / largest).max(1);
-        let means = self.means(pieces);
+        let means = self.means();
         let parts: Vec<Gradients> = pieces
             .par_chunks(per_chunk)
             .map(|chunk| self.chunk_gradients(chunk, means))
             .collect::<Result<_>>()?;
         let mut parts = parts.into_iter();
         let Some(mut total) = parts.next() else {
-            return Err(crate::error::Error::config("batch", "is empty"));
+            return Err(Error::config("batch", "is empty"));
         };
         for part in parts {
             total.add(part)?;
@@ -72,7 +71,8 @@ impl Job<'_> {
     }
 
     /// Counts that the batch's sums are divided by.
-    pub fn means(&self, pieces: &[Block]) -> Means {
+    pub fn means(&self) -> Means {
+        let pieces = self.step.pieces;
         Means::of(pieces.first().map_or(1, |p| p.side()), pieces.iter().map(|p| p.patch()))
     }
 
@@ -82,7 +82,7 @@ impl Job<'_> {
         let side = pieces.first().map_or(1, |p| p.side());
         let (mut u, mut wi, mut wo, mut level) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let mut rgb = Vec::with_capacity(pieces.len() * side * side);
-        let [low, high] = self.target_range;
+        let [low, high] = self.step.target_range;
         for piece in pieces {
             let queries = piece.queries(architecture.resolution);
             u.extend_from_slice(&queries.u);
@@ -94,7 +94,7 @@ impl Job<'_> {
         let patches: Vec<usize> = pieces.iter().map(|p| p.patch()).collect();
         let weights: Vec<f32> = pieces
             .iter()
-            .map(|p| f32::from(self.highest_level.is_none_or(|most| p.level() <= most as f32)))
+            .map(|p| f32::from(self.step.highest_level.is_none_or(|most| p.level() <= most as f32)))
             .collect();
         Ok(Chunk {
             inputs: Inputs::new(architecture, &u, &wi, &wo, &level, self.device)?,
@@ -111,7 +111,7 @@ impl Job<'_> {
             offset: offset.as_ref().map(|o| o.as_tensor().clone()),
         };
         let prediction = self.networks.forward(&chunk.inputs, &tables)?;
-        let loss = chunk.target.loss(&prediction, self.terms)?;
+        let loss = chunk.target.loss(&prediction, self.step.terms)?;
         let mut store = loss.backward()?;
         let mut take = |var: &Var| match store.remove(var.as_tensor()) {
             Some(gradient) => Ok(gradient),
@@ -132,10 +132,6 @@ impl Job<'_> {
     }
 }
 
-fn is_texture(name: &str) -> bool {
-    name == OFFSET_TEXTURE || name.starts_with("texture.")
-}
-
 impl Gradients {
     fn add(&mut self, other: Self) -> Result<()> {
         self.loss += other.loss;
@@ -149,14 +145,23 @@ impl Gradients {
         Ok(())
     }
 
+    /// Adds the gradients of the tables of earlier steps.
+    fn add_texels(&mut self, other: &Self) -> Result<()> {
+        self.pyramid = (&self.pyramid + &other.pyramid)?;
+        if let (Some(mine), Some(theirs)) = (&mut self.offset, &other.offset) {
+            *mine = (&*mine + theirs)?;
+        }
+        Ok(())
+    }
+
     /// False if the loss or any sample's gradient is not finite: every one of them reaches the last bias.
     pub fn finite(&self) -> bool {
         let bias = self.networks.last().and_then(|(_, g)| g.flatten_all().ok()?.to_vec1::<f32>().ok());
         self.loss.is_finite() && bias.is_some_and(|b| b.iter().all(|v| v.is_finite()))
     }
 
-    /// Gradients of the variables by name: the tables' ones smoothed once more, which is the adjoint of reading them so.
-    pub fn by_variable(self, architecture: &Architecture, sigmas: &Sigmas) -> Result<Vec<(String, Tensor)>> {
+    /// Gradients of the textures by name: the tables' ones smoothed once more, which is the adjoint of reading them so.
+    pub fn of_textures(self, architecture: &Architecture, sigmas: &Sigmas) -> Result<Vec<(String, Tensor)>> {
         let mut all = Vec::new();
         for (level, size) in architecture.level_sizes().iter().enumerate() {
             let shape = (size.height, size.width, architecture.model.texture.channels);
@@ -168,7 +173,58 @@ impl Gradients {
             let offset = offset.reshape((height, width, ()))?;
             all.push((OFFSET_TEXTURE.into(), smoothed(&offset, sigmas.offset)?));
         }
-        all.extend(self.networks);
         Ok(all)
+    }
+}
+
+/// The engine that goes through candle's graph, on any device.
+pub(super) struct CandleEngine {
+    networks: Networks,
+    device: Device,
+    tables: Option<Tables>,
+    /// The last step's, with the texels' of all steps since they were handed out.
+    gradients: Option<Gradients>,
+}
+
+impl CandleEngine {
+    /// An engine over `variables`.
+    ///
+    /// # Errors
+    /// `Config` if one is missing.
+    pub fn new(architecture: &Architecture, variables: &Variables, device: &Device) -> Result<Self> {
+        let networks = Networks::new(architecture, variables)?;
+        Ok(Self { networks, device: device.clone(), tables: None, gradients: None })
+    }
+}
+
+impl Engine for CandleEngine {
+    fn read(&mut self, variables: &Variables, sigmas: &Sigmas) -> Result<()> {
+        self.tables = Some(Tables::new(&self.networks.architecture, variables, sigmas)?);
+        Ok(())
+    }
+
+    fn step(&mut self, variables: &Variables, step: &Step) -> Result<f64> {
+        let Some(tables) = &self.tables else {
+            return Err(Error::config("textures", "are stepped on before they are read"));
+        };
+        let job = Job { networks: &self.networks, variables, tables, step, device: &self.device };
+        let mut new = job.gradients()?;
+        let loss = if new.finite() { new.loss } else { f64::NAN };
+        if let Some(before) = self.gradients.take() {
+            new.add_texels(&before)?;
+        }
+        self.gradients = Some(new);
+        Ok(loss)
+    }
+
+    fn networks(&mut self, take: &mut Take) -> Result<()> {
+        let parts = self.gradients.iter_mut().flat_map(|g| g.networks.drain(..));
+        parts.into_iter().try_for_each(|(name, gradient)| take(&name, Gradient::Tensor(gradient)))
+    }
+
+    fn textures(&mut self, sigmas: &Sigmas, take: &mut Take) -> Result<()> {
+        let Some(gradients) = self.gradients.take() else { return Ok(()) };
+        let all = gradients.of_textures(&self.networks.architecture, sigmas)?;
+        all.into_iter().try_for_each(|(name, gradient)| take(&name, Gradient::Tensor(gradient)))
     }
 }

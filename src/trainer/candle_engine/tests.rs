@@ -1,6 +1,6 @@
 //! Gradients of the stored variables, through smoothing and chunks, against differences of the loss itself.
 
-use super::Job;
+use super::{Job, Step};
 use crate::config::{Config, Remap, Term, TermKind};
 use crate::dataset::{Block, Layout, Patch};
 use crate::model::texture::Sigmas;
@@ -44,18 +44,28 @@ fn gradients(
         Term { kind: TermKind::L2, remap: Remap::Linear, weight: 1.0 },
         Term { kind: TermKind::Gradient, remap: Remap::Root4Signed(0.1), weight: 0.1 },
     ];
+    let pieces = pieces();
+    let step = Step {
+        pieces: &pieces,
+        terms: &terms,
+        target_range: [0.0, 1000.0],
+        highest_level: None,
+        offset_texture: true,
+    };
     let job = Job {
         networks: &Networks::new(architecture, variables).unwrap(),
         variables,
         tables: &Tables::new(architecture, variables, sigmas).unwrap(),
-        terms: &terms,
-        target_range: [0.0, 1000.0],
-        highest_level: None,
+        step: &step,
         device: &Device::Cpu,
     };
-    let result = job.gradients(&pieces()).unwrap();
+    let mut result = job.gradients().unwrap();
     assert!(result.finite());
-    (result.loss, result.by_variable(architecture, sigmas).unwrap())
+    let networks = std::mem::take(&mut result.networks);
+    let loss = result.loss;
+    let mut all = result.of_textures(architecture, sigmas).unwrap();
+    all.extend(networks);
+    (loss, all)
 }
 
 #[test]

@@ -1,0 +1,237 @@
+//! A trained model that answers query buffers through the fused kernels.
+
+use super::networks::Networks;
+use super::plan::{Order, Plan};
+use super::textures::{Table, Textures};
+use super::tile::{Queries, Tile, stride_of};
+use crate::error::{Error, Result};
+use crate::kernels::rows;
+use crate::kernels::simd::Isa;
+use crate::query::{QueryBuffer, Reflectance, RgbImage, above_horizon};
+use neumip_export::Tensor;
+use neumip_export::checkpoint::Checkpoint;
+use neumip_export::config::{Architecture, OFFSET_TEXTURE, texture_name};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Samples of a tile: the decoder's input and one layer's outputs stay in the first-level cache.
+const TILE: usize = 64;
+/// Queries that a core answers at a time.
+const CHUNK: usize = 16 * TILE;
+
+/// How textures are stored while answering.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// f32.
+    #[default]
+    Single,
+    /// f16; the arithmetic stays f32.
+    Half,
+}
+
+/// A neural material in fused kernels.
+#[derive(Clone, Debug)]
+pub struct FusedMaterial {
+    plan: Plan,
+    networks: Networks,
+    levels: Vec<Table>,
+    offset: Option<Table>,
+}
+
+/// Queries without their light: partial sums of the decoder's first layer.
+#[derive(Clone, Debug)]
+pub struct Prepared {
+    /// Tiles of \[outputs of the first layer\]\[[`TILE`]\].
+    tiles: Vec<Vec<f32>>,
+    /// Whether each query's wo is above the horizon.
+    visible: Vec<bool>,
+}
+
+impl Prepared {
+    /// Number of queries.
+    pub fn len(&self) -> usize {
+        self.visible.len()
+    }
+
+    /// True if nothing was asked.
+    pub fn is_empty(&self) -> bool {
+        self.visible.is_empty()
+    }
+}
+
+impl FusedMaterial {
+    /// The material of a checkpoint, on the instruction set in use.
+    ///
+    /// # Errors
+    /// `Config` if a tensor is missing or does not fit, `Usage` for an instruction set that this machine has not.
+    pub fn from_checkpoint(checkpoint: &Checkpoint) -> Result<Self> {
+        let architecture = &checkpoint.header.architecture;
+        Self::new(architecture, &checkpoint.tensors, Precision::Single, Isa::chosen()?)
+    }
+
+    /// The material of stored tensors.
+    ///
+    /// # Errors
+    /// `Config` if a tensor is missing or does not fit.
+    pub fn new(
+        architecture: &Architecture,
+        tensors: &BTreeMap<String, Tensor>,
+        precision: Precision,
+        isa: Isa,
+    ) -> Result<Self> {
+        for (name, shape) in architecture.tensors() {
+            match tensors.get(&name) {
+                Some(t) if t.shape == shape && t.data.len() == shape.iter().product::<usize>() => {}
+                Some(t) => {
+                    return Err(Error::config(name, format!("has shape {:?}, not {shape:?}", t.shape)));
+                }
+                None => return Err(Error::config(name, "this tensor is missing")),
+            }
+        }
+        let values = |name: &str| match tensors.get(name) {
+            Some(t) => Ok(t.data.clone()),
+            None => Err(Error::config(name, "this tensor is missing")),
+        };
+        let plan = Plan::new(architecture, isa, Order::LightLast);
+        let table = |name: &str, channels: usize| -> Result<Table> {
+            Ok(match precision {
+                Precision::Single => Table::Single(values(name)?),
+                Precision::Half => Table::half(&values(name)?, channels),
+            })
+        };
+        let levels = (0..architecture.levels())
+            .map(|level| table(&texture_name(level), plan.channels()))
+            .collect::<Result<_>>()?;
+        let offset = plan.offset.map(|(channels, _)| table(OFFSET_TEXTURE, channels)).transpose()?;
+        Ok(Self { networks: Networks::answering(&plan, &values)?, plan, levels, offset })
+    }
+
+    /// What the material is.
+    pub fn architecture(&self) -> &Architecture {
+        &self.plan.architecture
+    }
+
+    /// The instruction set that answers.
+    pub fn isa(&self) -> Isa {
+        self.plan.isa
+    }
+
+    fn textures(&self) -> Textures<'_> {
+        let levels: Vec<_> = self.levels.iter().map(Table::texels).collect();
+        Textures::new(&self.plan, levels, self.offset.as_ref().map(Table::texels))
+    }
+
+    /// Does everything that does not depend on wi, for queries at positions `u` and `level`, seen from `wo`.
+    ///
+    /// # Errors
+    /// `Config` if the slices differ in length or a value is not finite.
+    pub fn prepare(&self, u: &[[f32; 2]], level: &[f32], wo: &[[f32; 2]]) -> Result<Prepared> {
+        let light = vec![[0.0; 2]; u.len()];
+        let queries = QueryBuffer::new(1, u.len(), u.to_vec(), light, wo.to_vec(), level.to_vec())?;
+        let textures = self.textures();
+        let starts: Vec<usize> = (0..u.len()).step_by(CHUNK).collect();
+        let tiles = starts
+            .into_par_iter()
+            .flat_map_iter(|start| {
+                let mut tile = Tile::default();
+                let end = (start + CHUNK).min(u.len());
+                let parts: Vec<Vec<f32>> = (start..end)
+                    .step_by(TILE)
+                    .map(|at| {
+                        self.load(&mut tile, &queries, at, (at + TILE).min(end));
+                        tile.prepare(&self.plan, &self.networks, &textures);
+                        tile.partial.clone()
+                    })
+                    .collect();
+                parts
+            })
+            .collect();
+        Ok(Prepared { tiles, visible: wo.iter().map(|w| above_horizon(*w)).collect() })
+    }
+
+    /// Answers prepared queries under one light each: RGB as [`Reflectance::evaluate`] gives it.
+    ///
+    /// # Errors
+    /// `Config` if `wi` has another length, is not finite, or an answer is not.
+    pub fn light(&self, prepared: &Prepared, wi: &[[f32; 2]]) -> Result<Vec<[f32; 3]>> {
+        if wi.len() != prepared.len() {
+            let problem = format!("has {} entries where {} queries are prepared", wi.len(), prepared.len());
+            return Err(Error::config("query.wi", problem));
+        }
+        if let Some(i) = wi.iter().position(|w| !(w[0].is_finite() && w[1].is_finite())) {
+            return Err(Error::config(format!("query.wi[{i}]"), "is not finite"));
+        }
+        let mut pixels = vec![[0.0f32; 3]; wi.len()];
+        pixels.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
+            let mut tile = Tile::default();
+            for (part, out) in out.chunks_mut(TILE).enumerate() {
+                let at = chunk * CHUNK + part * TILE;
+                tile.resize(&self.plan, &self.networks, stride_of(out.len()), false);
+                tile.partial.copy_from_slice(&prepared.tiles[at / TILE]);
+                let Queries { wi: rows, .. } = &mut tile.queries;
+                let (x, y) = rows.split_at_mut(tile.stride);
+                rows::split(self.plan.isa, &wi[at..at + out.len()], false, x, y);
+                tile.light(&self.plan, &self.networks);
+                let lit = |k: usize| prepared.visible[at + k] && above_horizon(wi[at + k]);
+                write(&tile, lit, out);
+            }
+        });
+        finite(&pixels)?;
+        Ok(pixels)
+    }
+
+    /// Fills a tile with the queries `start..end`.
+    fn load(&self, tile: &mut Tile, queries: &QueryBuffer, start: usize, end: usize) {
+        let stride = stride_of(end - start);
+        tile.resize(&self.plan, &self.networks, stride, false);
+        let Queries { u, level, wi, wo } = &mut tile.queries;
+        for (rows, pairs, wrap) in [(u, &queries.u, true), (wi, &queries.wi, false), (wo, &queries.wo, false)] {
+            let (x, y) = rows.split_at_mut(stride);
+            rows::split(self.plan.isa, &pairs[start..end], wrap, x, y);
+        }
+        let coarsest = (self.plan.architecture.levels() - 1) as f32;
+        for (to, from) in level.iter_mut().zip(&queries.level[start..end]) {
+            *to = from.clamp(0.0, coarsest);
+        }
+        level[end - start..].fill(0.0);
+    }
+}
+
+/// The answers of a tile: not below 0, and 0 where `lit` is false.
+fn write(tile: &Tile, lit: impl Fn(usize) -> bool, out: &mut [[f32; 3]]) {
+    let (red, rest) = tile.rgb.split_at(tile.stride);
+    let (green, blue) = rest.split_at(tile.stride);
+    for (k, pixel) in out.iter_mut().enumerate() {
+        if lit(k) {
+            // f32::max would hide a NaN behind 0.
+            *pixel = [red[k], green[k], blue[k]].map(|value| if value < 0.0 { 0.0 } else { value });
+        }
+    }
+}
+
+fn finite(pixels: &[[f32; 3]]) -> Result<()> {
+    match pixels.iter().position(|p| !p.iter().all(|v| v.is_finite())) {
+        Some(k) => Err(Error::config(format!("query[{k}]"), "the model's answer is not finite")),
+        None => Ok(()),
+    }
+}
+
+impl Reflectance for FusedMaterial {
+    fn evaluate(&self, queries: &QueryBuffer) -> Result<RgbImage> {
+        let mut pixels = vec![[0.0f32; 3]; queries.len()];
+        let textures = self.textures();
+        pixels.par_chunks_mut(CHUNK).enumerate().for_each_init(Tile::default, |tile, (chunk, out)| {
+            for (part, out) in out.chunks_mut(TILE).enumerate() {
+                let at = chunk * CHUNK + part * TILE;
+                self.load(tile, queries, at, at + out.len());
+                tile.forward(&self.plan, &self.networks, &textures);
+                let lit = |k: usize| above_horizon(queries.wi[at + k]) && above_horizon(queries.wo[at + k]);
+                write(tile, lit, out);
+            }
+        });
+        finite(&pixels)?;
+        Ok(RgbImage { height: queries.height(), width: queries.width(), pixels })
+    }
+}

@@ -1,0 +1,26 @@
+//! The fused engine: a material answered and differentiated tile by tile, every intermediate value in a core's cache.
+//!
+//! ```text
+//! Plan ─ what is computed: rows of a tile, encodings, output
+//! Networks ─ weights packed for the instruction set        Textures ─ tables that lookups read
+//!   │                                                        │
+//! Tile ─ forward: offset, lookup, encoding, decoder, output; backward: the same in reverse
+//!   │
+//! FusedMaterial ─ answers query buffers                     Batch ─ loss and gradients of a training step
+//! ```
+
+mod backward;
+mod batch;
+mod material;
+mod networks;
+mod plan;
+mod textures;
+mod tile;
+#[cfg(test)]
+mod tests;
+
+pub use batch::{Batch, Loss, Sums};
+pub use material::{FusedMaterial, Precision, Prepared};
+pub use networks::Networks;
+pub use plan::{Order, Plan};
+pub use textures::{Table, Textures};
