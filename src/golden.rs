@@ -1,12 +1,13 @@
-//! Golden answers: what a material says to queries that cover its whole domain and its edges.
+//! Golden answers: what a material says to queries that cover its whole domain and its edges, and what rounding its
+//! textures changes of them.
 
 use crate::error::Result;
 use crate::model::NeuralMaterial;
 use crate::query::{QueryBuffer, Reflectance};
 use crate::random::{Random, Stream};
 use candle_core::Device;
-use neumip_export::Golden;
 use neumip_export::checkpoint::Checkpoint;
+use neumip_export::{Golden, Precision, TexturePrecision};
 
 /// Largest |difference| / (1 + |value|) of a reader of the bundle: f32 networks summed in another order, on positions that
 /// an offset network moves by an ulp.
@@ -61,4 +62,37 @@ pub fn answers(checkpoint: &Checkpoint, n: usize) -> Result<Golden> {
     let rgb = material.evaluate(&queries)?.pixels;
     let QueryBuffer { u, wi, wo, level, .. } = queries;
     Ok(Golden { tolerance: TOLERANCE, u, wi, wo, level, rgb })
+}
+
+/// A checkpoint with rounded textures, its golden answers, and how far they are from those before.
+pub struct Rounded {
+    /// The checkpoint.
+    pub checkpoint: Checkpoint,
+    /// Its answers.
+    pub golden: Golden,
+    /// What rounding cost.
+    pub cost: TexturePrecision,
+}
+
+/// Rounds a checkpoint's textures and asks both, before and after, `n` queries.
+///
+/// # Errors
+/// As [`Precision::round`] and [`answers`].
+pub fn rounded(checkpoint: &Checkpoint, storage: Precision, n: usize) -> Result<Rounded> {
+    // First, so that what cannot be rounded is refused before anything is computed.
+    let rounded = storage.round(checkpoint.clone())?;
+    let before = answers(checkpoint, n)?;
+    let golden = answers(&rounded, n)?;
+    let pairs = golden.rgb.as_flattened().iter().zip(before.rgb.as_flattened());
+    let (mut largest, mut sum) = (0.0f64, 0.0);
+    for (after, before) in pairs {
+        let (after, before) = (f64::from(*after), f64::from(*before));
+        let difference = (after - before).abs() / (1.0 + before.abs());
+        // Not `max`, which would hide a NaN.
+        largest = if difference <= largest { largest } else { difference };
+        sum += difference;
+    }
+    let mean = sum / (3 * n.max(1)) as f64;
+    let cost = TexturePrecision { storage, largest_difference: largest, mean_difference: mean };
+    Ok(Rounded { checkpoint: rounded, golden, cost })
 }

@@ -8,17 +8,22 @@
 //! dataset ─ blocks of queries with their answers: generated, stored, streamed
 //!   │            kernels ─ loops on slices
 //!   │               │
-//! model ─ texture pyramid, neural offset, encoding, decoder (candle)     loss ─ remaps, gradient loss
-//!   │                                                                      │
-//! trainer ─ steps, validation, checkpoints, events ────────────────────────┘
+//!   │            engine ─ a tile of samples forward and back: fused steps and answers
+//!   │               │
+//! model ─ texture pyramid, neural offset, encoding, decoder (candle)     loss ─ remaps, gradient loss (candle)
+//!   │               │                                                      │
+//! trainer ─ steps by either engine, validation, checkpoints, events ───────┘
 //!   │
 //! checkpoint ─ a run's folder; the file format itself is neumip-export's
 //!   │
-//! metrics, evaluate ─ errors by split and level, time per query
+//! inference ─ a checkpoint that answers, by either engine
+//!   │
+//! metrics, evaluate, bench ─ errors by split and level, time per query, rates beside the machine's peak
 //!   │
 //! report, cli, neumip-export ─ pages, commands, ONNX and textures for other renderers
 //! ```
 
+pub mod bench;
 pub mod checkpoint;
 pub mod cli;
 pub mod config;
@@ -27,6 +32,7 @@ pub mod engine;
 pub mod error;
 pub mod evaluate;
 pub mod golden;
+pub mod inference;
 pub mod kernels;
 pub mod loss;
 pub mod metrics;

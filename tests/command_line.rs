@@ -416,6 +416,9 @@ fn bad_checkpoints_and_bundles_are_refused() {
     changed("wide.safetensors", &|header| {
         change_metadata(header, |h| h["architecture"]["model"]["decoder"]["hidden"] = json!([1u64 << 40]));
     });
+    // Textures beyond what half floats hold: the EXR files cannot have them either.
+    let beyond = change_value(&best, "texture.level0", 70_000.0);
+    std::fs::write(folder.join("beyond.safetensors"), beyond).unwrap();
     copy(&folder.join("bundle"), &folder.join("altered"));
     std::fs::write(folder.join("altered/decoder.onnx"), "0").unwrap();
     copy(&folder.join("bundle"), &folder.join("annotated"));
@@ -465,8 +468,54 @@ fn bad_checkpoints_and_bundles_are_refused() {
             ("export run --out file --force", 1, &["file"]),
             ("export run --out file/below", 1, &["file/below"]),
             ("export run --out new --json file/below.json", 1, &["file/below.json"]),
+            ("export beyond.safetensors --out new --half-textures", 2, &["tensor texture.level0", "70000"]),
+            ("export beyond.safetensors --out new", 2, &["tensor texture.level0", "70000"]),
+            ("export beyond.safetensors --out bundle --half-textures --force", 2, &["tensor texture.level0"]),
+            ("export run --out bundle --half-textures", 1, &["bundle", "exists"]),
+            ("export run --out precious --half-textures --force", 1, &["precious", "not a bundle"]),
         ],
     );
+}
+
+#[test]
+fn half_textures_are_an_option_of_the_export_that_says_what_it_costs() {
+    let workshop = workshop();
+    let folder = workshop.path();
+    let said = succeed(folder, "export run --out half --half-textures --json half.json");
+    assert!(said.contains("half textures move the answers by at most"), "{said}");
+    let read =
+        |name: &str| -> Value { serde_json::from_slice(&std::fs::read(folder.join(name)).unwrap()).unwrap() };
+    let half = read("half/material.json");
+    let precision = &half["texture_precision"];
+    assert_eq!(precision["storage"], json!("f16"));
+    let number = |name: &str| precision[name].as_f64().unwrap();
+    let (largest, mean) = (number("largest_difference"), number("mean_difference"));
+    assert!(mean > 0.0 && mean < largest, "{precision}");
+    assert!(said.contains(&format!("{largest:.1e}")) && said.contains(&format!("{mean:.1e}")), "{said}");
+    assert_eq!(&read("half.json")["texture_precision"], precision);
+    let described: Value = serde_json::from_str(&succeed(folder, "info half")).unwrap();
+    assert_eq!(&described["material"]["texture_precision"], precision);
+
+    let single = read("bundle/material.json");
+    assert_eq!(single.get("texture_precision"), None);
+    let values = single["cost"]["texture_values"].as_u64().unwrap();
+    let bytes = |bundle: &Value| bundle["cost"]["bytes"].as_u64().unwrap();
+    assert_eq!(bytes(&single) - bytes(&half), 2 * values);
+
+    // Without the flag, it is the bundle that it was.
+    let made = |name: &str| -> Vec<(PathBuf, Option<Vec<u8>>)> {
+        let all = contents(&folder.join(name)).into_iter();
+        all.map(|(path, bytes)| (path.file_name().unwrap().into(), bytes)).collect()
+    };
+    let said = succeed(folder, "export run --out again");
+    assert!(!said.contains("half textures"), "{said}");
+    assert!(made("again") == made("bundle") && made("half") != made("bundle"));
+    // What is rounded already loses nothing by being rounded again.
+    succeed(folder, "export half/model.safetensors --out twice --half-textures");
+    let twice = read("twice/material.json");
+    assert_eq!(twice["texture_precision"]["largest_difference"], json!(0.0));
+    let graph = |name: &str| std::fs::read(folder.join(name).join("material.onnx")).unwrap();
+    assert!(graph("twice") == graph("half"));
 }
 
 #[test]
@@ -723,6 +772,16 @@ fn change_header(file: &[u8], change: impl Fn(&mut Value)) -> Vec<u8> {
     change(&mut header);
     let header = header.to_string();
     [&(header.len() as u64).to_le_bytes(), header.as_bytes(), &file[8 + length..]].concat()
+}
+
+/// A safetensors file with the first value of a tensor replaced.
+fn change_value(file: &[u8], tensor: &str, value: f32) -> Vec<u8> {
+    let length = u64::from_le_bytes(file[..8].try_into().unwrap()) as usize;
+    let header: Value = serde_json::from_slice(&file[8..8 + length]).unwrap();
+    let begin = 8 + length + header[tensor]["data_offsets"][0].as_u64().unwrap() as usize;
+    let mut changed = file.to_vec();
+    changed[begin..begin + 4].copy_from_slice(&value.to_le_bytes());
+    changed
 }
 
 /// Changes the JSON inside the metadata of a checkpoint's header.

@@ -7,12 +7,14 @@ use std::process::Command;
 
 /// What each module of `src/` may import besides itself and [`ANYWHERE`]. `export` is the exporter's crate but for its
 /// `config`, which is our `config`'s own ground. A module that is missing here fails.
-const FLOW: [(&str, &[&str]); 17] = [
+const FLOW: [(&str, &[&str]); 20] = [
     ("error", &["export"]),
     ("config", &[]),
     ("query", &["error"]),
     ("random", &[]),
-    ("kernels", &[]),
+    // An instruction set that the machine has not is an error of the user's.
+    ("kernels", &["error"]),
+    ("engine", &["query", "kernels", "dataset", "export"]),
     ("metrics", &[]),
     ("reference", &["query", "random"]),
     // Files appear whole by the exporter's one routine, and the measure of the values is the checkpoint's.
@@ -23,8 +25,22 @@ const FLOW: [(&str, &[&str]); 17] = [
     ("checkpoint", &["export"]),
     (
         "trainer",
-        &["dataset", "model", "loss", "checkpoint", "metrics", "query", "kernels", "random", "export"],
+        &[
+            "dataset",
+            "model",
+            "engine",
+            "inference",
+            "loss",
+            "checkpoint",
+            "metrics",
+            "query",
+            "kernels",
+            "random",
+            "export",
+        ],
     ),
+    ("inference", &["query", "kernels", "engine", "model", "export"]),
+    ("bench", &["engine", "kernels", "model", "trainer", "dataset", "query", "random", "export"]),
     ("evaluate", &["query", "metrics", "dataset", "random"]),
     ("onnx_material", &["query"]),
     ("golden", &["model", "query", "random", "export"]),
@@ -38,6 +54,9 @@ const EVERYTHING: &[&str] = &[
     "metrics",
     "reference",
     "dataset",
+    "engine",
+    "inference",
+    "bench",
     "model",
     "loss",
     "checkpoint",
@@ -53,8 +72,8 @@ const ANYWHERE: [&str; 2] = ["error", "config"];
 /// Modules that import what [`FLOW`] lists and nothing else: others could be built on them alone.
 const BARE: [&str; 4] = ["query", "random", "kernels", "metrics"];
 /// Where candle may be mentioned; everything else works without it.
-const CANDLE: [&str; 7] =
-    ["error.rs", "kernels/custom_op.rs", "model/", "loss/", "trainer/", "golden.rs", "cli/"];
+const CANDLE: [&str; 8] =
+    ["error.rs", "kernels/custom_op.rs", "model/", "loss/", "trainer/", "inference.rs", "golden.rs", "cli/"];
 
 const MOST_BYTES: u64 = 20 << 20;
 /// Half of the files of the program are shorter, and none is longer than the other.

@@ -3,15 +3,21 @@
 use crate::python_environment;
 use candle_core::Device;
 use neumip::config::Config;
+use neumip::engine;
 use neumip::export::checkpoint::{FORMAT, Header};
 use neumip::export::config::{ModelConfig, OFFSET_TEXTURE, OutputSpace, OutputTransform, ParallaxConfig};
-use neumip::export::{Architecture, Checkpoint, Golden, Measure, read_bundle, write_bundle};
-use neumip::golden::{self, TOLERANCE};
+use neumip::export::{
+    Architecture, Checkpoint, Golden, Measure, Precision, TexturePrecision, read_bundle, write_bundle,
+    write_bundle_as,
+};
+use neumip::golden::{self, Rounded, TOLERANCE};
+use neumip::inference::answerer;
 use neumip::model::{NeuralMaterial, Variables};
 use neumip::onnx_material::{OnnxMaterial, largest_difference};
 use neumip::query::{QueryBuffer, Reflectance, above_horizon};
 use neumip::random::{Random, Stream};
 use serde::Deserialize;
+use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::Path;
 use tempfile::TempDir;
@@ -28,6 +34,18 @@ const CHANGED_PARAMETER: f32 = 1e-2;
 const GAIN: f32 = 2.5;
 /// Least standard deviation over mean of answers that are worth a comparison.
 const LEAST_SPREAD: f64 = 0.2;
+/// Largest change of an answer by rounding textures to half floats, which moves a texel by 2^-11 of itself at most: a
+/// rounding of features of usual size, through networks that multiply it by 10 or so (measured: MEASURED).
+const LARGEST_ROUNDING: f64 = 2e-2;
+/// Most of the size of `material.onnx` that is left with half textures where they are nine tenths of it.
+const MOST_LEFT: f64 = 0.65;
+/// SHA-256 of what the default export makes of the trained checkpoint, without the program's version: an option of the
+/// export changes nothing unless it is chosen. Whoever changes the default on purpose puts the new values here.
+const DEFAULT_FILES: [(&str, &str); 3] = [
+    ("decoder.onnx", "7d015f22dce119450189fe70e4829d43b2fe23de1f88a3dc6e089e4711fd532a"),
+    ("material.onnx", "9217a1d00207d43f084d6489741f0dfd77cef9ed50e951f839898835f774e85b"),
+    ("README.txt", "6e29e840ff0c44c7390d0e2d0b16e6d414027e44708ce66abb626f8381b1416c"),
+];
 
 /// A checkpoint that was trained.
 fn trained() -> Checkpoint {
@@ -219,6 +237,113 @@ fn the_golden_file_is_what_candle_and_the_graph_answer() {
     assert!(largest_difference(&answer, &rgb).is_nan());
 }
 
+/// The bundle of a checkpoint with half textures, in `bundle` of the folder, and what it says that costs.
+fn half_bundle(checkpoint: &Checkpoint) -> (TempDir, TexturePrecision) {
+    let folder = tempfile::tempdir().unwrap();
+    let Rounded { checkpoint, golden, cost } =
+        golden::rounded(checkpoint, Precision::Half, golden::QUERIES).unwrap();
+    write_bundle_as(&checkpoint, &golden, Some(cost), &folder.path().join("bundle"), false).unwrap();
+    (folder, cost)
+}
+
+#[test]
+fn a_bundle_with_half_textures_is_one_model_and_says_how_far_it_is_from_the_other() {
+    for (name, checkpoint) in [("trained", trained()), ("improved", untrained("improved", |_| (), [24, 40]))]
+    {
+        let (folder, cost) = half_bundle(&checkpoint);
+        let read = read_bundle(&folder.path().join("bundle")).unwrap();
+        assert_eq!(read.checkpoint, Precision::Half.round(checkpoint.clone()).unwrap());
+        assert_eq!(read.golden, golden::answers(&read.checkpoint, golden::QUERIES).unwrap());
+        assert_eq!(read.sidecar.texture_precision, Some(cost));
+
+        let before = golden::answers(&checkpoint, golden::QUERIES).unwrap();
+        let largest = largest_difference(&read.golden.rgb, &before.rgb);
+        let TexturePrecision { largest_difference: said, mean_difference: mean, .. } = cost;
+        println!("half textures, {name}: at most {said:.2e}, mean {mean:.2e}");
+        // One is a difference of 32-bit floats, the other of 64-bit ones.
+        assert!((said - largest).abs() < 1e-6, "{name}: {said:e} is said, {largest:e} is true");
+        assert!(mean > 0.0 && mean < said && said < LARGEST_ROUNDING, "{name}: {cost:?}");
+        assert!(said > 2.0 * TOLERANCE, "{name}: a bundle that was not rounded would pass");
+
+        let Golden { u, wi, wo, level, rgb, .. } = read.golden;
+        let queries = QueryBuffer::new(1, rgb.len(), u, wi, wo, level).unwrap();
+        let graph = OnnxMaterial::open(&folder.path().join("bundle/material.onnx")).unwrap();
+        let mut answer = graph.evaluate(&queries).unwrap().pixels;
+        assert!(largest_difference(&answer, &rgb) <= TOLERANCE, "{name}");
+        assert!(largest_difference(&answer, &before.rgb) > TOLERANCE, "{name}");
+        answer[10][1] += CHANGED_ANSWER;
+        assert!(largest_difference(&answer, &rgb) > TOLERANCE, "{name}");
+    }
+}
+
+/// What `neumip evaluate --half-textures` measures is what `neumip export --half-textures` writes.
+#[test]
+fn the_engine_with_half_textures_answers_as_the_bundle_with_them() {
+    let checkpoint = trained();
+    let queries = probes(&checkpoint);
+    let bundled = answers(&Precision::Half.round(checkpoint.clone()).unwrap(), &queries);
+    let engine = |precision| {
+        let answerer = answerer(&checkpoint, None, precision, &Device::Cpu).unwrap();
+        answerer.material.evaluate(&queries).unwrap().pixels
+    };
+    let difference = largest_difference(&engine(engine::Precision::Half), &bundled);
+    println!("fused with half textures against the rounded checkpoint: {difference:.2e}");
+    assert!(difference <= TOLERANCE, "{difference:e}");
+    assert!(largest_difference(&engine(engine::Precision::Single), &bundled) > TOLERANCE);
+}
+
+#[test]
+fn half_textures_halve_the_graph_where_they_are_most_of_it() {
+    let checkpoint = untrained("neumip", |_| (), [64, 64]);
+    let size = |folder: &TempDir| {
+        std::fs::metadata(folder.path().join("bundle/material.onnx")).unwrap().len() as f64
+    };
+    let (single, half) = (size(&bundle(&checkpoint)), size(&half_bundle(&checkpoint).0));
+    println!("material.onnx: {single} bytes, {half} with half textures ({:.3})", half / single);
+    assert!(half < MOST_LEFT * single, "{half} of {single}");
+    assert!(half > 0.5 * single, "{half} of {single}: something is missing");
+}
+
+#[test]
+fn the_default_bundle_is_what_it_was() {
+    let checkpoint = trained();
+    let folder = bundle(&checkpoint);
+    let out = folder.path().join("bundle");
+    let version = env!("CARGO_PKG_VERSION").as_bytes();
+    // Field 3 of the model, a string.
+    let field = [&[3 << 3 | 2, version.len() as u8], version].concat();
+    let read = |name: &str| std::fs::read(out.join(name)).unwrap();
+    for (name, expected) in DEFAULT_FILES {
+        let mut bytes = read(name);
+        if let Some(at) = bytes.windows(field.len()).position(|part| part == field) {
+            bytes.drain(at..at + field.len());
+        }
+        let digest: String = Sha256::digest(&bytes).iter().map(|b| format!("{b:02x}")).collect();
+        assert_eq!(digest, expected, "{name}");
+    }
+    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/tiny.safetensors");
+    assert_eq!(read("model.safetensors"), std::fs::read(fixture).unwrap());
+    let sidecar = String::from_utf8(read("material.json")).unwrap();
+    let keys: Vec<&str> = sidecar.lines().filter_map(|l| l.strip_prefix("  \"")?.split('"').next()).collect();
+    let expected = [
+        "format",
+        "material",
+        "measure",
+        "height_range",
+        "resolution",
+        "levels",
+        "cost",
+        "errors",
+        "conventions",
+        "evaluate",
+        "graphs",
+        "textures",
+        "architecture",
+        "files",
+    ];
+    assert_eq!(keys, expected);
+}
+
 #[test]
 fn an_altered_file_of_a_bundle_is_refused_by_name() {
     let checkpoint = trained();
@@ -284,6 +409,22 @@ fn onnxruntime_and_numpy_answer_as_the_model_does() {
     let checked = check_in_python(folder.path(), &expected).unwrap();
     for difference in [checked.material, checked.decoder, checked.reference] {
         assert!(difference > TOLERANCE, "{checked:?}");
+    }
+}
+
+#[test]
+fn onnxruntime_and_numpy_answer_as_the_model_with_half_textures_does() {
+    let checkpoint = trained();
+    let (folder, _) = half_bundle(&checkpoint);
+    let rounded = Precision::Half.round(checkpoint.clone()).unwrap();
+    let checked = check_in_python(folder.path(), &golden::answers(&rounded, PROBES).unwrap()).unwrap();
+    println!("in Python, half textures: {checked:?}");
+    for difference in [checked.material, checked.decoder, checked.reference] {
+        assert!(difference <= TOLERANCE, "{checked:?}");
+    }
+    let checked = check_in_python(folder.path(), &golden::answers(&checkpoint, PROBES).unwrap()).unwrap();
+    for difference in [checked.material, checked.decoder, checked.reference] {
+        assert!(difference > TOLERANCE, "answers as if nothing were rounded: {checked:?}");
     }
 }
 

@@ -4,6 +4,7 @@ use crate::checkpoint::Checkpoint;
 use crate::error::{Error, Result};
 use crate::golden::Golden;
 use crate::onnx;
+use crate::precision::{Precision, TexturePrecision};
 use crate::sidecar::Sidecar;
 use crate::textures::texture_files;
 use crate::whole_file::{parent_of, sibling_folder, sync_folder, write_whole};
@@ -64,8 +65,28 @@ pub fn write_bundle(
     out: &Path,
     force: bool,
 ) -> Result<Vec<BundleFile>> {
+    write_bundle_as(checkpoint, golden, None, out, force)
+}
+
+/// As [`write_bundle`], of a checkpoint whose textures were rounded by [`Precision::round`]; `golden` is what the
+/// rounded checkpoint answers, and `textures` how far that is from the answers before.
+///
+/// # Errors
+/// As [`write_bundle`], and `Config`, naming the texture that is not rounded.
+pub fn write_bundle_as(
+    checkpoint: &Checkpoint,
+    golden: &Golden,
+    textures: Option<TexturePrecision>,
+    out: &Path,
+    force: bool,
+) -> Result<Vec<BundleFile>> {
     checkpoint.validate()?;
     golden.validate()?;
+    let storage = textures.map_or(Precision::Single, |p| p.storage);
+    storage.check(checkpoint)?;
+    if let Some(precision) = &textures {
+        precision.validate()?;
+    }
     let replaces = may_replace(out, force)?;
 
     let parent = parent_of(out);
@@ -80,16 +101,16 @@ pub fn write_bundle(
     };
     add(MODEL, &checkpoint.to_bytes()?)?;
     add(DECODER, &onnx::decoder_graph(checkpoint)?)?;
-    add(MATERIAL, &onnx::material_graph(checkpoint)?)?;
-    let mut textures = Vec::new();
+    add(MATERIAL, &onnx::material_graph_as(checkpoint, storage)?)?;
+    let mut planes = Vec::new();
     for (texture, bytes) in texture_files(checkpoint)? {
         add(&texture.file, &bytes)?;
-        textures.push(texture);
+        planes.push(texture);
     }
     let json = |value: serde_json::Result<Vec<u8>>| value.map_err(|e| Error::config("bundle", e));
     add(GOLDEN, &json(serde_json::to_vec(golden))?)?;
-    add(README, readme(checkpoint, textures.len()).as_bytes())?;
-    let sidecar = Sidecar::new(checkpoint, textures, files.clone());
+    add(README, readme(checkpoint, textures.as_ref(), planes.len()).as_bytes())?;
+    let sidecar = Sidecar::new(checkpoint, textures, planes, files.clone());
     let bytes = json(serde_json::to_vec_pretty(&sidecar))?;
     write_whole(&folder.path().join(SIDECAR), &bytes)?;
     files.push(BundleFile { name: SIDECAR.into(), bytes: bytes.len() as u64, sha256: digest(&bytes) });
@@ -117,6 +138,7 @@ pub fn read_bundle(path: &Path) -> Result<Bundle> {
     if checkpoint.header.architecture != sidecar.architecture {
         return Err(Error::file(&file, format!("describes another architecture than {MODEL}")));
     }
+    sidecar.storage().check(&checkpoint).map_err(|e| Error::file(path.join(MODEL), e))?;
     let file = path.join(GOLDEN);
     let golden: Golden = serde_json::from_slice(&read_small(&file)?).map_err(|e| Error::file(&file, e))?;
     golden.validate().map_err(|e| Error::file(&file, e))?;
@@ -228,16 +250,23 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|b| format!("{b:02x}")).collect()
 }
 
-fn readme(checkpoint: &Checkpoint, textures: usize) -> String {
+fn readme(checkpoint: &Checkpoint, rounded: Option<&TexturePrecision>, planes: usize) -> String {
     let architecture = &checkpoint.header.architecture;
     let [height, width] = architecture.resolution;
+    let rounding = match rounded.filter(|p| p.storage == Precision::Half) {
+        None => "The textures were rounded to half floats in the EXR files only.".to_string(),
+        Some(TexturePrecision { largest_difference: largest, mean_difference: mean, .. }) => format!(
+            "The textures were rounded to half floats in every file. That moved the golden answers by at most\n\
+             {largest:.1e} (1 + |value|), {mean:.1e} (1 + |value|) in the mean."
+        ),
+    };
     format!(
         "{name}: a neural material ({height} x {width} texels, {levels} levels)\n\
          \n\
          {MATERIAL}       the whole material: u, wi, wo [N, 2] and level [N] in, rgb [N, 3] out\n\
          {DECODER}        the network alone, for renderers that look the textures up themselves:\n\
          \x20                   features [N, {channels}] first, then the same inputs\n\
-         *.exr               {textures} files of neural textures: half floats, four channels, mip levels\n\
+         *.exr               {planes} files of neural textures: half floats, four channels, mip levels\n\
          {MODEL}   all weights and textures as 32-bit floats\n\
          {SIDECAR}       conventions, interfaces, costs, errors, checksums, how to evaluate step by step\n\
          {GOLDEN}         queries and answers: a reader is right if it reproduces rgb within `tolerance`,\n\
@@ -246,7 +275,7 @@ fn readme(checkpoint: &Checkpoint, textures: usize) -> String {
          In short: wi points to the light and wo to the viewer, both away from the surface, as x and y of\n\
          unit vectors in the local frame (z along the normal). u is the position on the tile and repeats with\n\
          period 1. level is log2 of the footprint in texels. rgb is linear; {measure}.\n\
-         The textures were rounded to half floats in the EXR files only.\n\
+         {rounding}\n\
          \n\
          To check this bundle with Python (numpy and onnxruntime): python neumip_onnx.py FOLDER --check\n\
          The script is export/consumers/python/neumip_onnx.py in the neumip repository.\n",

@@ -3,6 +3,7 @@
 //! The same structs are a preset's `model` object, the checkpoint's `model` object and what the command line overrides.
 
 use crate::error::{Error, Result};
+use crate::precision::Precision;
 use serde::{Deserialize, Serialize};
 
 /// Widest network, most channels and most bands that a configuration may ask for: bounds what a header can allocate.
@@ -368,7 +369,12 @@ impl Architecture {
 
     /// Bytes of all weights and textures as f32.
     pub fn bytes(&self) -> usize {
-        4 * (self.network_weights() + self.texture_values())
+        self.bytes_as(Precision::Single)
+    }
+
+    /// Bytes of all weights as f32 and of textures as they are stored.
+    pub fn bytes_as(&self, textures: Precision) -> usize {
+        4 * self.network_weights() + textures.bytes() * self.texture_values()
     }
 
     /// Multiply-adds of the networks times 2, a query.

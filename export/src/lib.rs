@@ -14,14 +14,16 @@ pub mod config;
 mod error;
 pub mod golden;
 pub mod onnx;
+pub mod precision;
 pub mod sidecar;
 pub mod tensors;
 pub mod textures;
 pub mod whole_file;
 
-pub use bundle::{Bundle, BundleFile, read_bundle, write_bundle};
+pub use bundle::{Bundle, BundleFile, read_bundle, write_bundle, write_bundle_as};
 pub use checkpoint::{Checkpoint, Header, Measure};
 pub use config::Architecture;
 pub use error::{Error, Result};
 pub use golden::Golden;
+pub use precision::{Precision, TexturePrecision};
 pub use tensors::{Tensor, read_tensors, write_tensors};

@@ -7,6 +7,7 @@ use crate::config::{
 };
 use crate::error::{Error, Result};
 use crate::onnx::{self, Port};
+use crate::precision::{Precision, TexturePrecision};
 use crate::textures::TextureFile;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -33,7 +34,10 @@ pub struct Sidecar {
     pub levels: usize,
     /// What the material costs.
     pub cost: Cost,
-    /// The error table.
+    /// How texture values are stored and what that costs; absent: as 32-bit floats, which costs nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub texture_precision: Option<TexturePrecision>,
+    /// The error table, of the textures before rounding.
     pub errors: serde_json::Value,
     /// The conventions, in words.
     pub conventions: Vec<String>,
@@ -59,7 +63,7 @@ pub struct Cost {
     pub network_weights: usize,
     /// Texels times channels of all textures.
     pub texture_values: usize,
-    /// Bytes of both as 32-bit floats.
+    /// Bytes of both: 32-bit floats, texture values as they are stored.
     pub bytes: usize,
 }
 
@@ -98,8 +102,14 @@ impl From<Port> for GraphPort {
 
 impl Sidecar {
     /// Describes a checkpoint and the files that were made from it.
-    pub fn new(checkpoint: &Checkpoint, textures: Vec<TextureFile>, files: Vec<BundleFile>) -> Self {
+    pub fn new(
+        checkpoint: &Checkpoint,
+        texture_precision: Option<TexturePrecision>,
+        textures: Vec<TextureFile>,
+        files: Vec<BundleFile>,
+    ) -> Self {
         let Header { architecture, .. } = &checkpoint.header;
+        let storage = texture_precision.map_or(Precision::Single, |p| p.storage);
         let graph = |file: &str, inputs: Vec<Port>| GraphFile {
             file: file.into(),
             opset: onnx::OPSET,
@@ -117,10 +127,11 @@ impl Sidecar {
                 flops_per_query: architecture.flops_per_query(),
                 network_weights: architecture.network_weights(),
                 texture_values: architecture.texture_values(),
-                bytes: architecture.bytes(),
+                bytes: architecture.bytes_as(storage),
             },
+            texture_precision,
             errors: checkpoint.header.errors.clone(),
-            conventions: conventions(checkpoint.header.measure),
+            conventions: conventions(checkpoint.header.measure, storage),
             evaluate: steps(architecture),
             graphs: vec![
                 graph("decoder.onnx", onnx::decoder_inputs(architecture.model.texture.channels)),
@@ -130,6 +141,11 @@ impl Sidecar {
             architecture: architecture.clone(),
             files,
         }
+    }
+
+    /// How texture values are stored.
+    pub fn storage(&self) -> Precision {
+        self.texture_precision.map_or(Precision::Single, |p| p.storage)
     }
 
     /// Parses `material.json`, checks its version and that every file is named once, plainly.
@@ -148,6 +164,9 @@ impl Sidecar {
         }
         let sidecar: Self = serde_json::from_slice(json).map_err(broken)?;
         sidecar.architecture.validate()?;
+        if let Some(precision) = &sidecar.texture_precision {
+            precision.validate()?;
+        }
         let mut names = BTreeSet::new();
         for BundleFile { name, .. } in &sidecar.files {
             let mut parts = Path::new(name).components();
@@ -170,7 +189,7 @@ impl Sidecar {
 }
 
 /// The conventions of the project, for a reader who has nothing else.
-fn conventions(measure: Measure) -> Vec<String> {
+fn conventions(measure: Measure, storage: Precision) -> Vec<String> {
     let rgb = match measure {
         Measure::RadianceCosine => {
             "RGB is linear and is f cos(theta_i) averaged over the footprint: the radiance under a distant light \
@@ -181,7 +200,7 @@ fn conventions(measure: Measure) -> Vec<String> {
              for radiance."
         }
     };
-    [
+    let mut conventions = vec![
         "Local frame: x along u, y along v, z along the normal. wi points to the light, wo to the viewer, both \
          away from the surface, unit length; they are given as (x, y), with z = sqrt(1 - x^2 - y^2).",
         "x^2 + y^2 >= 1 means on or below the horizon: the answer is 0.",
@@ -189,9 +208,15 @@ fn conventions(measure: Measure) -> Vec<String> {
          column j) has its centre at ((j + 0.5) / width, (i + 0.5) / height).",
         "level is log2 of the footprint's size in texels of the finest level; levels are continuous.",
         rgb,
-    ]
-    .map(String::from)
-    .to_vec()
+    ];
+    if storage == Precision::Half {
+        conventions.push(
+            "Texture values are 16-bit floats in material.onnx and in the EXR files, and the same numbers as 32-bit \
+             floats in model.safetensors; all arithmetic is in 32-bit floats. errors is the table of the textures \
+             before rounding.",
+        );
+    }
+    conventions.into_iter().map(String::from).collect()
 }
 
 /// How a query is answered, with this material's numbers.

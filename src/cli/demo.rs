@@ -1,14 +1,14 @@
 //! `neumip demo`: every stage on one material, and a page that shows what came out.
 
 use super::console::Console;
-use super::evaluate::Evaluation;
+use super::evaluate::{By, Evaluation};
 use super::export::Written;
 use super::{evaluate, export, generate, train};
 use crate::config::{Budget, Config};
 use crate::dataset::{Block, Dataset, Existing, GenerateConfig, SplitName};
 use crate::error::{Error, Result};
 use crate::evaluate::Row;
-use crate::model::NeuralMaterial;
+use crate::engine::FusedMaterial;
 use crate::query::{QueryBuffer, Reflectance, RgbImage};
 use crate::report::{self, CostRow, Curve, ExportRow, Panel, Report, TableRow};
 use crate::trainer::{Progress, Trainer};
@@ -119,7 +119,7 @@ impl Demo {
         }
         console.say("[4/5] evaluating on held-out directions");
         let runs: Vec<PathBuf> = models.iter().map(|m| m.run.clone()).collect();
-        let evaluations = evaluate::evaluate(&runs, &data, &SPLITS, "cpu", TIMING, console)?;
+        let evaluations = evaluate::evaluate(&runs, &data, &SPLITS, By::default(), TIMING, console)?;
         console.say(evaluate::text_table(&evaluations));
 
         console.say("[5/5] exporting");
@@ -342,7 +342,7 @@ fn verdict(models: &[Model], evaluations: &[Evaluation]) -> String {
 fn panels(data: &Dataset, models: &[Model]) -> Result<Vec<Panel>> {
     let materials = models
         .iter()
-        .map(|m| Ok((m.name, NeuralMaterial::from_checkpoint(&checkpoint::load(&m.run)?, &Device::Cpu)?)))
+        .map(|m| Ok((m.name, FusedMaterial::from_checkpoint(&checkpoint::load(&m.run)?)?)))
         .collect::<Result<Vec<_>>>()?;
     let panel =
         |title: String, caption: String, queries: &QueryBuffer, reference: RgbImage| -> Result<Panel> {

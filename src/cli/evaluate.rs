@@ -5,7 +5,10 @@ use crate::checkpoint;
 use crate::dataset::{Dataset, SplitName};
 use crate::error::{Error, Result};
 use crate::evaluate::{Cost, Row, TIMED_QUERIES, costs, error_table};
-use crate::model::{self, NeuralMaterial};
+use crate::config::EngineKind;
+use crate::engine::Precision;
+use crate::inference::{Answerer, answerer};
+use crate::model;
 use crate::query::Reflectance;
 use clap::Args;
 use serde::Serialize;
@@ -38,6 +41,12 @@ pub struct Evaluate {
     /// Device that answers.
     #[arg(long, default_value = "cpu")]
     device: String,
+    /// What answers: by default fused on the CPU, candle on other devices.
+    #[arg(long)]
+    engine: Option<EngineKind>,
+    /// Store textures in half precision while answering.
+    #[arg(long)]
+    half_textures: bool,
     /// Write everything here.
     #[arg(long)]
     json: Option<PathBuf>,
@@ -81,10 +90,28 @@ impl Evaluate {
         } else {
             self.splits.clone()
         };
-        let evaluations =
-            evaluate(&self.runs, &data, &splits, &self.device, [self.queries, self.rounds], console)?;
+        let precision = if self.half_textures { Precision::Half } else { Precision::Single };
+        let by = By { device: &self.device, engine: self.engine, precision };
+        let evaluations = evaluate(&self.runs, &data, &splits, by, [self.queries, self.rounds], console)?;
         super::save_json(self.json.as_deref(), &evaluations)?;
         console.answer(text_table(&evaluations))
+    }
+}
+
+/// What answers.
+#[derive(Clone, Copy, Debug)]
+pub struct By<'a> {
+    /// Name of the device.
+    pub device: &'a str,
+    /// The engine, where it was chosen.
+    pub engine: Option<EngineKind>,
+    /// Of the textures.
+    pub precision: Precision,
+}
+
+impl Default for By<'_> {
+    fn default() -> Self {
+        Self { device: "cpu", engine: None, precision: Precision::Single }
     }
 }
 
@@ -93,12 +120,13 @@ pub fn evaluate(
     runs: &[PathBuf],
     data: &Dataset,
     splits: &[SplitName],
-    device: &str,
+    by: By,
     timing: [usize; 2],
     console: &Console,
 ) -> Result<Vec<Evaluation>> {
-    let device = model::device(device)?;
-    let mut materials = Vec::new();
+    let device = model::device(by.device)?;
+    let mut materials: Vec<Box<dyn Reflectance>> = Vec::new();
+    let mut levels = 1;
     let mut evaluations = Vec::new();
     for run in runs {
         let checkpoint = checkpoint::load(run)?;
@@ -114,15 +142,16 @@ pub fn evaluate(
                 ),
             ));
         }
-        let material = NeuralMaterial::from_checkpoint(&checkpoint, &device)?;
+        let Answerer { material, engine } = answerer(&checkpoint, by.engine, by.precision, &device)?;
+        levels = architecture.levels();
         let mut meter = console.meter(format!("evaluate {}", run.display()), splits.len() as u64, "splits");
         let mut rows = Vec::new();
         for (done, split) in splits.iter().enumerate() {
             meter.update(done as u64, split.as_str());
-            rows.extend(error_table(&material, data, std::slice::from_ref(split))?);
+            rows.extend(error_table(&*material, data, std::slice::from_ref(split))?);
             console.check("no table was written")?;
         }
-        rows.extend(crate::evaluate::view_table(&material, data)?);
+        rows.extend(crate::evaluate::view_table(&*material, data)?);
         meter.finish(splits.len() as u64);
         let samples = checkpoint.header.provenance.get("samples").and_then(serde_json::Value::as_f64);
         let texels = (architecture.resolution[0] * architecture.resolution[1]) as f64;
@@ -134,7 +163,7 @@ pub fn evaluate(
             weights: architecture.network_weights(),
             flops: architecture.flops_per_query(),
             bytes: architecture.bytes(),
-            engine: "candle".into(),
+            engine,
             cost: None,
             rows,
         });
@@ -142,8 +171,7 @@ pub fn evaluate(
     }
     let [queries, rounds] = timing;
     if rounds > 0 {
-        let levels = materials.first().map_or(1, |m| m.architecture().levels());
-        let answerers: Vec<&dyn Reflectance> = materials.iter().map(|m| m as &dyn Reflectance).collect();
+        let answerers: Vec<&dyn Reflectance> = materials.iter().map(|m| &**m).collect();
         for (evaluation, cost) in evaluations.iter_mut().zip(costs(&answerers, levels, queries, rounds)?) {
             evaluation.cost = Some(cost);
         }

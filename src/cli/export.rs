@@ -7,7 +7,7 @@ use crate::query::{QueryBuffer, Reflectance};
 use crate::{checkpoint, golden};
 use clap::Args;
 use neumip_export::bundle::MATERIAL;
-use neumip_export::{BundleFile, Checkpoint, Golden, onnx, write_bundle};
+use neumip_export::{BundleFile, Checkpoint, Golden, Precision, TexturePrecision, onnx, write_bundle_as};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -20,6 +20,10 @@ pub struct Export {
     /// The bundle's folder.
     #[arg(long)]
     out: PathBuf,
+    /// Round the textures to half floats before anything is written, store them so in material.onnx, and say what that
+    /// changes of the answers.
+    #[arg(long)]
+    half_textures: bool,
     /// Replace an existing bundle.
     #[arg(long)]
     force: bool,
@@ -32,7 +36,8 @@ impl Export {
     /// Runs the command.
     pub fn run(self, console: &Console) -> Result<()> {
         super::check_json(self.json.as_deref())?;
-        let bundle = bundle(&checkpoint::load(&self.run)?, &self.out, self.force)?;
+        let textures = if self.half_textures { Precision::Half } else { Precision::Single };
+        let bundle = bundle_as(&checkpoint::load(&self.run)?, textures, &self.out, self.force)?;
         for file in &bundle.files {
             console.say(format!("{:>10}  {}", file.bytes, self.out.join(&file.name).display()));
         }
@@ -40,6 +45,12 @@ impl Export {
             "material.onnx answers within {:.1e} (1 + |value|) of the model",
             bundle.difference
         ));
+        if let Some(cost) = &bundle.texture_precision {
+            console.say(format!(
+                "half textures move the answers by at most {:.1e} (1 + |value|), {:.1e} in the mean",
+                cost.largest_difference, cost.mean_difference
+            ));
+        }
         super::save_json(self.json.as_deref(), &bundle)
     }
 }
@@ -51,18 +62,46 @@ pub struct Written {
     pub files: Vec<BundleFile>,
     /// Largest |difference| / (1 + |value|) of its graph's golden answers.
     pub difference: f64,
+    /// What rounding the textures cost, where they were.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub texture_precision: Option<TexturePrecision>,
 }
 
 /// Writes the bundle of a checkpoint with its golden answers, once an engine that is not ours gives the same from its graph.
 pub fn bundle(checkpoint: &Checkpoint, out: &Path, force: bool) -> Result<Written> {
-    let golden = golden::answers(checkpoint, golden::QUERIES)?;
-    let difference = difference(checkpoint, &golden, &out.join(MATERIAL))?;
-    Ok(Written { files: write_bundle(checkpoint, &golden, out, force)?, difference })
+    bundle_as(checkpoint, Precision::Single, out, force)
+}
+
+/// As [`bundle`], with textures rounded to a precision before anything is written.
+pub fn bundle_as(checkpoint: &Checkpoint, textures: Precision, out: &Path, force: bool) -> Result<Written> {
+    match textures {
+        Precision::Single => {
+            let golden = golden::answers(checkpoint, golden::QUERIES)?;
+            checked(checkpoint, &golden, None, out, force)
+        }
+        Precision::Half => {
+            let rounded = golden::rounded(checkpoint, textures, golden::QUERIES)?;
+            checked(&rounded.checkpoint, &rounded.golden, Some(rounded.cost), out, force)
+        }
+    }
+}
+
+fn checked(
+    checkpoint: &Checkpoint,
+    golden: &Golden,
+    texture_precision: Option<TexturePrecision>,
+    out: &Path,
+    force: bool,
+) -> Result<Written> {
+    let textures = texture_precision.map_or(Precision::Single, |p| p.storage);
+    let difference = difference(checkpoint, textures, golden, &out.join(MATERIAL))?;
+    let files = write_bundle_as(checkpoint, golden, texture_precision, out, force)?;
+    Ok(Written { files, difference, texture_precision })
 }
 
 /// Runs the graph that is about to be written as `path`.
-fn difference(checkpoint: &Checkpoint, golden: &Golden, path: &Path) -> Result<f64> {
-    let graph = OnnxMaterial::from_bytes(path, onnx::material_graph(checkpoint)?)?;
+fn difference(checkpoint: &Checkpoint, textures: Precision, golden: &Golden, path: &Path) -> Result<f64> {
+    let graph = OnnxMaterial::from_bytes(path, onnx::material_graph_as(checkpoint, textures)?)?;
     let Golden { u, wi, wo, level, rgb, tolerance } = golden.clone();
     let queries = QueryBuffer::new(1, level.len(), u, wi, wo, level)?;
     let difference = largest_difference(&graph.evaluate(&queries)?.pixels, &rgb);

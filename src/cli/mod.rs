@@ -1,5 +1,6 @@
 //! The command line: one verb a file. Only this module prints.
 
+mod bench;
 mod console;
 mod demo;
 mod evaluate;
@@ -39,6 +40,8 @@ enum Command {
     Evaluate(evaluate::Evaluate),
     /// Write what another renderer needs.
     Export(export::Export),
+    /// How fast this machine trains and answers.
+    Bench(bench::Bench),
     /// Say what a checkpoint, run, dataset or bundle is.
     Info(info::Info),
 }
@@ -57,6 +60,7 @@ impl Cli {
             Command::Train(command) => command.run(&console),
             Command::Evaluate(command) => command.run(&console),
             Command::Export(command) => command.run(&console),
+            Command::Bench(command) => command.run(&console),
             Command::Info(command) => command.run(&console),
         }
     }
@@ -85,7 +89,7 @@ fn check_json(path: Option<&Path>) -> Result<()> {
     };
     let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if path.is_dir() || path.file_name().is_none() {
-        return Err(Error::file(path, "is a folder; --json takes the name of a file"));
+        return Err(Error::file(path, "is a folder where the name of a file is wanted"));
     }
     if !parent.is_dir() {
         return Err(Error::file(path, format!("cannot be written: {} is no folder", parent.display())));

@@ -1,7 +1,7 @@
 //! `neumip train`.
 
 use super::console::{Console, short};
-use crate::config::{Budget, Config};
+use crate::config::{Budget, Config, EngineKind};
 use crate::dataset::Dataset;
 use crate::error::Result;
 use crate::model;
@@ -54,8 +54,11 @@ pub struct Train {
     /// cpu, cuda:N or metal:N.
     #[arg(long, default_value = "cpu")]
     device: String,
+    /// What computes the steps: by default fused on the CPU, candle on other devices.
+    #[arg(long)]
+    engine: Option<EngineKind>,
     /// Go on with an interrupted run.
-    #[arg(long, conflicts_with_all = ["force", "preset", "overrides", "budget", "batch", "learning_rate", "stages", "seed", "memory"])]
+    #[arg(long, conflicts_with_all = ["force", "preset", "overrides", "budget", "batch", "learning_rate", "stages", "seed", "memory", "engine"])]
     resume: bool,
     /// Replace an existing run.
     #[arg(long)]
@@ -94,6 +97,7 @@ impl Train {
         train.batch = self.batch.unwrap_or(train.batch);
         train.learning_rate.peak = self.learning_rate.unwrap_or(train.learning_rate.peak);
         train.seed = self.seed.unwrap_or(train.seed);
+        train.engine = self.engine.or(train.engine);
         if let Some(name) = &self.stages {
             train.stages = crate::config::StagePlan::Named(name.clone());
         }

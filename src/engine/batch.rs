@@ -205,9 +205,9 @@ impl Worker {
             piece.layout().rows(plan.architecture.resolution, rows);
             let coarsest = (plan.architecture.levels() - 1) as f32;
             self.piece.level[start..start + n].fill(piece.level().min(coarsest));
-            for (k, pixel) in piece.rgb().iter().enumerate() {
-                for c in 0..3 {
-                    self.target[c * stride + start + k] = pixel[c].to_f32();
+            for (c, row) in self.target.chunks_mut(stride).enumerate() {
+                for (to, pixel) in row[start..].iter_mut().zip(piece.rgb()) {
+                    *to = pixel[c].to_f32();
                 }
             }
             start += n;

@@ -44,7 +44,7 @@ pub struct FusedMaterial {
 #[derive(Clone, Debug)]
 pub struct Prepared {
     /// Tiles of \[outputs of the first layer\]\[[`TILE`]\].
-    tiles: Vec<Vec<f32>>,
+    sums: Vec<f32>,
     /// Whether each query's wo is above the horizon.
     visible: Vec<bool>,
 }
@@ -131,24 +131,18 @@ impl FusedMaterial {
         let light = vec![[0.0; 2]; u.len()];
         let queries = QueryBuffer::new(1, u.len(), u.to_vec(), light, wo.to_vec(), level.to_vec())?;
         let textures = self.textures();
-        let starts: Vec<usize> = (0..u.len()).step_by(CHUNK).collect();
-        let tiles = starts
-            .into_par_iter()
-            .flat_map_iter(|start| {
-                let mut tile = Tile::default();
-                let end = (start + CHUNK).min(u.len());
-                let parts: Vec<Vec<f32>> = (start..end)
-                    .step_by(TILE)
-                    .map(|at| {
-                        self.load(&mut tile, &queries, at, (at + TILE).min(end));
-                        tile.prepare(&self.plan, &self.networks, &textures);
-                        tile.partial.clone()
-                    })
-                    .collect();
-                parts
-            })
-            .collect();
-        Ok(Prepared { tiles, visible: wo.iter().map(|w| above_horizon(*w)).collect() })
+        let wide = TILE * self.networks.first_outputs();
+        let mut sums = vec![0.0; u.len().div_ceil(TILE) * wide];
+        let chunks = sums.par_chunks_mut(CHUNK / TILE * wide).enumerate();
+        chunks.for_each_init(Tile::default, |tile, (chunk, out)| {
+            for (part, out) in out.chunks_mut(wide).enumerate() {
+                let at = chunk * CHUNK + part * TILE;
+                self.load(tile, &queries, at, (at + TILE).min(u.len()));
+                tile.prepare(&self.plan, &self.networks, &textures);
+                out[..tile.partial.len()].copy_from_slice(&tile.partial);
+            }
+        });
+        Ok(Prepared { sums, visible: wo.iter().map(|w| above_horizon(*w)).collect() })
     }
 
     /// Answers prepared queries under one light each: RGB as [`Reflectance::evaluate`] gives it.
@@ -164,18 +158,19 @@ impl FusedMaterial {
             return Err(Error::config(format!("query.wi[{i}]"), "is not finite"));
         }
         let mut pixels = vec![[0.0f32; 3]; wi.len()];
-        pixels.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
-            let mut tile = Tile::default();
+        let wide = TILE * self.networks.first_outputs();
+        pixels.par_chunks_mut(CHUNK).enumerate().for_each_init(Tile::default, |tile, (chunk, out)| {
             for (part, out) in out.chunks_mut(TILE).enumerate() {
                 let at = chunk * CHUNK + part * TILE;
                 tile.resize(&self.plan, &self.networks, stride_of(out.len()), false);
-                tile.partial.copy_from_slice(&prepared.tiles[at / TILE]);
+                let n = tile.partial.len();
+                tile.partial.copy_from_slice(&prepared.sums[at / TILE * wide..][..n]);
                 let Queries { wi: rows, .. } = &mut tile.queries;
                 let (x, y) = rows.split_at_mut(tile.stride);
                 rows::split(self.plan.isa, &wi[at..at + out.len()], false, x, y);
                 tile.light(&self.plan, &self.networks);
                 let lit = |k: usize| prepared.visible[at + k] && above_horizon(wi[at + k]);
-                write(&tile, lit, out);
+                write(tile, lit, out);
             }
         });
         finite(&pixels)?;

@@ -57,6 +57,11 @@ impl Networks {
         Ok(this)
     }
 
+    /// Outputs of the decoder's first layer.
+    pub(super) fn first_outputs(&self) -> usize {
+        self.decoder.first().map_or(0, Packed::outputs)
+    }
+
     fn forward(plan: &Plan, values: Values) -> Result<Self> {
         let architecture = &plan.architecture;
         let offset = match architecture.offset_widths() {

@@ -96,7 +96,7 @@ impl Tile {
         self.hidden = hidden(&networks.decoder);
         self.outputs = room(plan.architecture.decoder_outputs());
         self.rgb = room(3);
-        self.partial = room(networks.decoder.first().map_or(0, Packed::outputs));
+        self.partial = room(networks.first_outputs());
         (self.depth, self.position) = (room(1), room(2));
         (self.scratch, self.zeros) = (room(3), room(1));
         if training {

@@ -227,7 +227,7 @@ fn choose<S: Simd>(
         s.store(&mut corners.mix[at..], mix);
         // 2^-level, made of its exponent.
         let exponent = s.int_add(s.int(127), s.int_mul(number, s.int(-1)));
-        let scale = s.from_bits(s.int_up::<23>(exponent));
+        let scale = s.as_float(s.int_up::<23>(exponent));
         let mut sizes = [s.splat(1.0); 2];
         for axis in 0..2 {
             sizes[axis] = s.max(s.floor(s.mul(s.splat(sides[axis]), scale)), s.splat(1.0));

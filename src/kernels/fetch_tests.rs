@@ -44,7 +44,7 @@ impl Pyramid {
     }
 
     /// Texel of the table, weight, and slopes of the weight, of all taps of a sample.
-    fn taps64(&self, x: f64, y: f64, level: f64) -> Vec<(usize, usize, f64, [f64; 2])> {
+    fn taps64(&self, x: f64, y: f64, level: f64) -> Vec<Tap64> {
         let last = self.sizes.len() - 1;
         let level = level.min(last as f64);
         let finer = level.floor() as usize;
@@ -77,8 +77,8 @@ fn places(levels: usize) -> [Vec<f32>; 3] {
     let mut random = Random::new(12, Stream::Probe, levels as u64);
     let mut all = [vec![], vec![], vec![]];
     for k in 0..STRIDE {
-        for axis in 0..2 {
-            all[axis].push(match k % 4 {
+        for axis in all.iter_mut().take(2) {
+            axis.push(match k % 4 {
                 0 => random.uniform(),
                 1 => 4.0 * random.uniform() - 2.0,
                 2 => (random.uniform() * 8.0).floor() / 8.0,
@@ -97,6 +97,9 @@ fn lookup(isa: Isa, channels: usize, pyramid: &super::Pyramid, at: Places, found
     read(isa, STRIDE, channels, pyramid, &aimed, found);
 }
 
+/// Level, texel of the table, weight, slopes of the weight.
+type Tap64 = (usize, usize, f64, [f64; 2]);
+
 /// Largest errors of features and of slopes with the positions moved.
 fn worst(isa: Isa, pyramid: &Pyramid, half: bool, moved: f32) -> [f64; 2] {
     let textures = pyramid.textures(half);
@@ -113,7 +116,7 @@ fn worst(isa: Isa, pyramid: &Pyramid, half: bool, moved: f32) -> [f64; 2] {
     for k in 0..STRIDE {
         let exact = pyramid.taps64(f64::from(x[k]), f64::from(y[k]), f64::from(level[k]));
         for c in 0..channels {
-            let sum = |f: &dyn Fn(&(usize, usize, f64, [f64; 2])) -> f64| -> f64 {
+            let sum = |f: &dyn Fn(&Tap64) -> f64| -> f64 {
                 exact.iter().map(|t| f(t) * pyramid.texel(t.0, t.1, c)).sum()
             };
             let value = f64::from(features[c * STRIDE + k]);

@@ -394,13 +394,13 @@ fn above<S: Simd>(s: S, x: S::F, least: f32, slope: S::F) -> S::F {
 /// |x|.
 #[inline(always)]
 fn absolute<S: Simd>(s: S, x: S::F) -> S::F {
-    s.from_bits(s.int_and(s.bits(x), s.int(i32::MAX)))
+    s.as_float(s.int_and(s.bits(x), s.int(i32::MAX)))
 }
 
 /// A magnitude with the sign of x.
 #[inline(always)]
 fn with_sign<S: Simd>(s: S, magnitude: S::F, x: S::F) -> S::F {
-    s.from_bits(s.int_xor(s.bits(magnitude), s.int_and(s.bits(x), s.int(i32::MIN))))
+    s.as_float(s.int_xor(s.bits(magnitude), s.int_and(s.bits(x), s.int(i32::MIN))))
 }
 
 /// -1, 0 or 1; x itself where it is no number.

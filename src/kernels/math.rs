@@ -1,6 +1,7 @@
 //! Elementary functions on vectors, by polynomials on reduced arguments.
 
 use super::simd::Simd;
+use std::f32::consts::PI;
 
 /// Largest difference of [`sin_cos_pi`] from float64: three roundings of values up to 1.
 pub const SINE_ERROR: f64 = 1.5e-7;
@@ -22,7 +23,7 @@ pub fn sin_cos_pi<S: Simd>(s: S, t: S::F) -> (S::F, S::F) {
     let y = s.mul(x, x);
     let step = |sum: S::F, c: f32| s.fma(sum, y, s.splat(c));
     let sin = s.mul(
-        step(step(step(step(s.splat(0.080_888_05), -0.599_186_1), 2.550_162), -5.167_712_8), 3.141_592_7),
+        step(step(step(step(s.splat(0.080_888_05), -0.599_186_1), 2.550_162), -5.167_712_8), PI),
         x,
     );
     let cos = step(
@@ -30,7 +31,7 @@ pub fn sin_cos_pi<S: Simd>(s: S, t: S::F) -> (S::F, S::F) {
         1.0,
     );
     let odd = s.greater(s.float(s.int_and(q, s.int(1))), s.splat(0.5));
-    let sign = |v: S::F, q: S::I| s.from_bits(s.int_xor(s.bits(v), s.int_up::<30>(s.int_and(q, s.int(2)))));
+    let sign = |v: S::F, q: S::I| s.as_float(s.int_xor(s.bits(v), s.int_up::<30>(s.int_and(q, s.int(2)))));
     (sign(s.select(odd, cos, sin), q), sign(s.select(odd, sin, cos), s.int_add(q, s.int(1))))
 }
 
@@ -52,7 +53,7 @@ pub fn exp<S: Simd>(s: S, x: S::F) -> S::F {
     );
     let mantissa = s.add(s.fma(s.mul(tail, r), r, r), s.splat(1.0));
     // The lowest bits of `shifted` hold n: moved up, they are added to the exponent.
-    let value = s.from_bits(s.int_add(s.bits(mantissa), s.int_up::<23>(s.bits(shifted))));
+    let value = s.as_float(s.int_add(s.bits(mantissa), s.int_up::<23>(s.bits(shifted))));
     let value = s.select(s.greater(x, s.splat(88.0)), s.splat(f32::INFINITY), value);
     let value = s.select(s.greater(s.splat(-87.0), x), s.splat(0.0), value);
     keep_nan(s, x, value)
@@ -64,12 +65,12 @@ pub fn ln<S: Simd>(s: S, x: S::F) -> S::F {
     // x = 2^e m with m in [sqrt(1/2), sqrt 2): the offset makes the exponent field turn there.
     let bits = s.int_add(s.bits(x), s.int(0x3f80_0000 - 0x3f35_04f3));
     let e = s.float(s.int_add(s.int_down::<23>(bits), s.int(-127)));
-    let m = s.from_bits(s.int_add(s.int_and(bits, s.int(0x007f_ffff)), s.int(0x3f35_04f3)));
+    let m = s.as_float(s.int_add(s.int_and(bits, s.int(0x007f_ffff)), s.int(0x3f35_04f3)));
     // ln m = 2 atanh f, f = (m - 1) / (m + 1), |f| <= 0.172.
     let f = s.div(s.sub(m, s.splat(1.0)), s.add(m, s.splat(1.0)));
     let y = s.mul(f, f);
     let step = |sum: S::F, c: f32| s.fma(sum, y, s.splat(c));
-    let series = step(step(step(s.splat(0.235_937_69), 0.285_371), 0.400_003_27), 0.666_666_66);
+    let series = step(step(step(s.splat(0.235_937_69), 0.285_371), 0.400_003_27), 2.0 / 3.0);
     let value = s.fma(s.mul(f, y), series, s.add(f, f));
     keep_nan(s, x, s.fma(e, s.splat(std::f32::consts::LN_2), value))
 }

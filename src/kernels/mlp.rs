@@ -227,7 +227,7 @@ impl Work for WeightGradient<'_> {
                 macro_rules! sizes {
                     ($($rows:literal: $($columns:literal)*;)*) => {
                         match (rows.len(), columns.len()) {
-                            $($(($rows, $columns) if S::SQUARE >= $rows && S::SQUARE >= $columns => {
+                            $($(($rows, $columns) if fits(S::SQUARE, [$rows, $columns]) => {
                                 self.square::<S, $rows, $columns, { $rows * $columns }>(s, rows.start, columns.start);
                             })*)*
                             _ => {}
@@ -248,6 +248,12 @@ impl Work for WeightGradient<'_> {
             *bias += lanes[0];
         }
     }
+}
+
+/// Whether an instruction set has blocks of that shape: known to the compiler, which leaves the others out.
+#[inline(always)]
+const fn fits(square: usize, shape: [usize; 2]) -> bool {
+    square >= shape[0] && square >= shape[1]
 }
 
 impl WeightGradient<'_> {

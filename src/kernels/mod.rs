@@ -1,4 +1,7 @@
 //! CPU loops on slices, for every instruction set the machine has. Nothing here knows candle but [`custom_op`].
+//!
+//! Arrays of vectors are indexed by number on purpose: iterators over them leave the registers now and then.
+#![allow(clippy::needless_range_loop)]
 
 pub mod adam;
 pub mod custom_op;

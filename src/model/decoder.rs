@@ -1,6 +1,5 @@
 //! The fully connected networks: ReLU between layers, linear output.
 
-use super::variables::Variables;
 use crate::error::Result;
 use candle_core::Tensor;
 use candle_nn::{Linear, Module};
@@ -13,11 +12,10 @@ impl Mlp {
     /// The perceptron whose layers are named `prefix.0`, `prefix.1`, ...
     ///
     /// # Errors
-    /// `Config` if a variable is missing.
-    pub fn new(prefix: &str, layers: usize, variables: &Variables) -> Result<Self> {
+    /// What `tensor` reports.
+    pub fn new(prefix: &str, layers: usize, tensor: &dyn Fn(&str) -> Result<Tensor>) -> Result<Self> {
         let layer = |i| -> Result<Linear> {
-            let weight = variables.get(&weight_name(prefix, i))?.as_tensor().clone();
-            Ok(Linear::new(weight, Some(variables.get(&bias_name(prefix, i))?.as_tensor().clone())))
+            Ok(Linear::new(tensor(&weight_name(prefix, i))?, Some(tensor(&bias_name(prefix, i))?)))
         };
         Ok(Self((0..layers).map(layer).collect::<Result<_>>()?))
     }

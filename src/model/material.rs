@@ -28,21 +28,8 @@ impl NeuralMaterial {
     pub fn from_checkpoint(checkpoint: &Checkpoint, device: &Device) -> Result<Self> {
         let architecture = &checkpoint.header.architecture;
         let variables = Variables::from_stored(architecture, &checkpoint.tensors, device)?;
-        Self::new(architecture, &variables, &Sigmas::none(architecture), device)
-    }
-
-    /// The material of variables whose textures are read through a Gaussian.
-    ///
-    /// # Errors
-    /// `Config` if a variable is missing.
-    pub fn new(
-        architecture: &Architecture,
-        variables: &Variables,
-        sigmas: &Sigmas,
-        device: &Device,
-    ) -> Result<Self> {
-        let tables = Tables::new(architecture, variables, sigmas)?;
-        Ok(Self { networks: Networks::new(architecture, variables)?, tables, device: device.clone() })
+        let tables = Tables::new(architecture, &variables, &Sigmas::none(architecture))?;
+        Ok(Self { networks: Networks::detached(architecture, &variables)?, tables, device: device.clone() })
     }
 
     /// What the material is.
@@ -56,7 +43,7 @@ impl NeuralMaterial {
         let (u, level) = (&queries.u[part.clone()], &queries.level[part]);
         let inputs = Inputs::new(self.architecture(), u, wi, wo, level, &self.device)?;
         let rgb: Vec<f32> =
-            self.networks.forward(&inputs, &self.tables)?.detach().flatten_all()?.to_vec1()?;
+            self.networks.forward(&inputs, &self.tables)?.flatten_all()?.to_vec1()?;
         for (k, pixel) in out.iter_mut().enumerate() {
             if above_horizon(wi[k]) && above_horizon(wo[k]) {
                 // f32::max would hide a NaN behind 0.

@@ -33,11 +33,23 @@ impl Networks {
     /// # Errors
     /// `Config` if a variable is missing.
     pub fn new(architecture: &Architecture, variables: &Variables) -> Result<Self> {
+        Self::reading(architecture, &|name| Ok(variables.get(name)?.as_tensor().clone()))
+    }
+
+    /// The networks over the values of `variables`: what they compute keeps no graph.
+    ///
+    /// # Errors
+    /// `Config` if a variable is missing.
+    pub fn detached(architecture: &Architecture, variables: &Variables) -> Result<Self> {
+        Self::reading(architecture, &|name| Ok(variables.get(name)?.as_detached_tensor()))
+    }
+
+    fn reading(architecture: &Architecture, tensor: &dyn Fn(&str) -> Result<Tensor>) -> Result<Self> {
         let offset = match architecture.offset_widths() {
-            Some(widths) => Some(Mlp::new(OFFSET_MLP, widths.len() - 1, variables)?),
+            Some(widths) => Some(Mlp::new(OFFSET_MLP, widths.len() - 1, tensor)?),
             None => None,
         };
-        let decoder = Mlp::new(DECODER_MLP, architecture.decoder_widths().len() - 1, variables)?;
+        let decoder = Mlp::new(DECODER_MLP, architecture.decoder_widths().len() - 1, tensor)?;
         Ok(Self { architecture: architecture.clone(), offset, decoder })
     }
 

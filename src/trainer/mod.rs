@@ -13,14 +13,14 @@ pub use learner::Learner;
 pub use progress::{Point, Progress};
 
 use crate::checkpoint::{RunFolder, RunRecord, State};
-use crate::config::{Budget, Config, EngineKind, Stage};
+use crate::config::{Budget, Config, Stage};
 use crate::dataset::{Block, Dataset, SplitName, Stream};
+use crate::engine::Precision;
 use crate::error::{Error, Result};
+use crate::inference::{Answerer, answerer};
 use crate::metrics::ErrorSum;
 use crate::model::texture::{Sigmas, smoothed};
-use crate::engine::FusedMaterial;
-use crate::model::{Networks, NeuralMaterial, Tables, Variables};
-use crate::query::Reflectance;
+use crate::model::{Networks, Tables, Variables};
 use crate::random::{Random, Stream as RandomStream};
 use candle_core::Device;
 use neumip_export::checkpoint::{Checkpoint, Header};
@@ -358,11 +358,8 @@ impl Trainer {
 
     fn validate(&mut self) -> Result<Event> {
         let checkpoint = self.checkpoint()?;
-        let fused = self.device.is_cpu() && self.config.train.engine != Some(EngineKind::Candle);
-        let material: Box<dyn Reflectance> = match fused {
-            true => Box::new(FusedMaterial::from_checkpoint(&checkpoint)?),
-            false => Box::new(NeuralMaterial::from_checkpoint(&checkpoint, &self.device)?),
-        };
+        let engine = self.config.train.engine;
+        let Answerer { material, .. } = answerer(&checkpoint, engine, Precision::Single, &self.device)?;
         let mut sum = ErrorSum::default();
         for block in &self.validation {
             let queries = block.queries(self.header.architecture.resolution);
@@ -378,7 +375,8 @@ impl Trainer {
         }
         let (point, best) = self.progress.add_validation(sum.errors(), &self.stages);
         if best {
-            let checkpoint = self.checkpoint()?;
+            let mut checkpoint = checkpoint;
+            checkpoint.header.errors = self.progress.latest_errors();
             self.folder.save_best(&checkpoint)?;
         }
         Ok(Event::Validation { point, best })

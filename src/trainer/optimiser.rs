@@ -36,7 +36,7 @@ impl Optimiser {
     pub fn update(&self, name: &str, variable: &Var, gradient: Gradient) -> Result<()> {
         let (first, second) = (self.first.get(name)?, self.second.get(name)?);
         let (betas, update) = ([self.config.beta1, self.config.beta2], self.update);
-        Ok(match gradient {
+        match gradient {
             Gradient::Tensor(gradient) => adam_step(variable, first, second, &gradient, betas, update)?,
             Gradient::Dense(values) => {
                 adam_step_host(variable, first, second, betas, update, HostGradient::Dense(values))?
@@ -45,6 +45,7 @@ impl Optimiser {
                 let gradient = HostGradient::Padded { values: table, stride, channels };
                 adam_step_host(variable, first, second, betas, update, gradient)?
             }
-        })
+        }
+        Ok(())
     }
 }

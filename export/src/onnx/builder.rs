@@ -1,6 +1,7 @@
 //! A graph under construction: nodes in order, constants, and names that say what a value is.
 
 use super::proto::{self, Extent};
+use half::f16;
 use std::collections::BTreeMap;
 
 /// A value of the graph: an input, a constant or a node's output.
@@ -42,6 +43,12 @@ impl Builder {
     pub fn floats(&mut self, name: &str, shape: &[usize], data: &[f32]) -> Value {
         let raw = data.iter().flat_map(|v| v.to_le_bytes()).collect();
         self.constant(name, proto::FLOAT, shape, raw)
+    }
+
+    /// A constant of 16-bit floats, the nearest to the data, named as given.
+    pub fn halfs(&mut self, name: &str, shape: &[usize], data: &[f32]) -> Value {
+        let raw = data.iter().flat_map(|v| f16::from_f32(*v).to_le_bytes()).collect();
+        self.constant(name, proto::FLOAT16, shape, raw)
     }
 
     /// A constant of 32-bit integers, named as given.
@@ -202,6 +209,11 @@ impl Builder {
     /// The integer part as 32-bit integers.
     pub fn int32_of(&mut self, name: &str, a: &Value) -> Value {
         self.node("Cast", name, &[a], &[("to", i64::from(proto::INT32))])
+    }
+
+    /// The same values as 32-bit floats.
+    pub fn float_of(&mut self, name: &str, a: &Value) -> Value {
+        self.node("Cast", name, &[a], &[("to", i64::from(proto::FLOAT))])
     }
 
     /// Rows of a table.

@@ -16,6 +16,7 @@ mod texture;
 use crate::checkpoint::Checkpoint;
 use crate::config::{ParallaxConfig, texture_name};
 use crate::error::{Error, Result};
+use crate::precision::Precision;
 use builder::{Builder, Value};
 use prost::Message;
 use query::Direction;
@@ -78,16 +79,26 @@ pub fn decoder_graph(checkpoint: &Checkpoint) -> Result<Vec<u8>> {
     answer(b, checkpoint, &query, features, (u_is_read, false))
 }
 
-/// `material.onnx`: u, wi, wo, level -> rgb.
+/// `material.onnx`: u, wi, wo, level -> rgb, textures as 32-bit floats.
 ///
 /// # Errors
 /// `Config`, naming the tensor or field of an invalid checkpoint, or saying that the textures exceed the
 /// 2 GiB that an ONNX file can hold.
 pub fn material_graph(checkpoint: &Checkpoint) -> Result<Vec<u8>> {
+    material_graph_as(checkpoint, Precision::Single)
+}
+
+/// As [`material_graph`], with textures of a precision that holds every value of them ([`Precision::round`]).
+///
+/// # Errors
+/// As [`material_graph`], and `Config`, naming the texture that is not rounded.
+pub fn material_graph_as(checkpoint: &Checkpoint, textures: Precision) -> Result<Vec<u8>> {
     checkpoint.validate()?;
+    textures.check(checkpoint)?;
     let architecture = &checkpoint.header.architecture;
-    if architecture.bytes() > MAX_BYTES {
-        return Err(too_large(architecture.bytes()));
+    let bytes = architecture.bytes_as(textures);
+    if bytes > MAX_BYTES {
+        return Err(too_large(bytes));
     }
     let mut b = Builder::new("material", "neural material: parallax, texture pyramid and decoder");
     let inputs = declare(&mut b, &material_inputs());
@@ -97,7 +108,9 @@ pub fn material_graph(checkpoint: &Checkpoint) -> Result<Vec<u8>> {
     let query = Query { u: query::wrapped(&mut b, u), level: column(&mut b, checkpoint, level), wi, wo };
     let shifted = match &architecture.model.parallax {
         ParallaxConfig::None {} => query.u.clone(),
-        ParallaxConfig::Offset(offset) => network::parallax(&mut b, checkpoint, offset, &query.u, &query.wo)?,
+        ParallaxConfig::Offset(offset) => {
+            network::parallax(&mut b, checkpoint, textures, offset, &query.u, &query.wo)?
+        }
     };
     b.scope("texture");
     let sizes = architecture.level_sizes();
@@ -106,7 +119,7 @@ pub fn material_graph(checkpoint: &Checkpoint) -> Result<Vec<u8>> {
         texels.extend_from_slice(&checkpoint.tensor(&texture_name(level))?.data);
     }
     let shape = [architecture.pyramid_texels(), architecture.model.texture.channels];
-    let table = b.floats("texture.pyramid", &shape, &texels);
+    let table = texture::Table::new(&mut b, "texture.pyramid", shape, &texels, textures);
     drop(texels);
     let features = texture::lookup(&mut b, &shifted, &query.level, &table, &sizes);
     answer(b, checkpoint, &query, &features, (true, sizes.len() > 1))

@@ -3,12 +3,14 @@
 use super::builder::{Builder, Value};
 use super::encoding::Column;
 use super::query::Direction;
+use super::texture::{Table, lookup};
 use crate::checkpoint::Checkpoint;
 use crate::config::{
     DECODER_MLP, LevelSize, OFFSET_MLP, OFFSET_TEXTURE, OffsetConfig, OutputSpace, OutputTransform,
     YUV_TO_RGB, bias_name, weight_name,
 };
 use crate::error::Result;
+use crate::precision::Precision;
 
 /// relu(x W^T + b) layer by layer, the last one linear. `columns` says where the first layer's columns come
 /// from; absent: they are as stored.
@@ -50,15 +52,17 @@ fn mlp(
 pub fn parallax(
     b: &mut Builder,
     checkpoint: &Checkpoint,
+    precision: Precision,
     offset: &OffsetConfig,
     u: &Value,
     wo: &Direction,
 ) -> Result<Value> {
     b.scope("parallax");
     let [height, width] = checkpoint.header.architecture.resolution;
-    let texture = checkpoint.tensor(OFFSET_TEXTURE)?;
-    let table = b.floats(OFFSET_TEXTURE, &[height * width, offset.channels], &texture.data);
-    let features = super::texture::lookup(b, u, u, &table, &[LevelSize { height, width, base: 0 }]);
+    let values = &checkpoint.tensor(OFFSET_TEXTURE)?.data;
+    let shape = [height * width, offset.channels];
+    let table = Table::new(b, OFFSET_TEXTURE, shape, values, precision);
+    let features = lookup(b, u, u, &table, &[LevelSize { height, width, base: 0 }]);
     let input = b.concat("input", &[&features, &wo.xy], 1);
     let depth = mlp(b, checkpoint, OFFSET_MLP, offset.hidden.len() + 1, input, None)?;
     let depth = b.scale("depth", &depth, 0.5 * offset.scale);

@@ -8,6 +8,8 @@ pub const FLOAT: i32 = 1;
 pub const INT32: i32 = 6;
 /// `TensorProto.DataType` of 64-bit integers.
 pub const INT64: i32 = 7;
+/// `TensorProto.DataType` of 16-bit floats.
+pub const FLOAT16: i32 = 10;
 
 /// `AttributeProto.AttributeType` of one integer.
 pub const ATTRIBUTE_INT: i32 = 2;

@@ -2,6 +2,36 @@
 
 use super::builder::{Builder, Value};
 use crate::config::LevelSize;
+use crate::precision::Precision;
+
+/// Texels \[texels, C\] of all levels of a texture, row by row as in [`LevelSize::base`].
+pub struct Table {
+    values: Value,
+    precision: Precision,
+}
+
+impl Table {
+    /// Stores a table as the constant `name`.
+    pub fn new(b: &mut Builder, name: &str, shape: [usize; 2], data: &[f32], precision: Precision) -> Self {
+        let values = match precision {
+            Precision::Single => b.floats(name, &shape, data),
+            Precision::Half => b.halfs(name, &shape, data),
+        };
+        Self { values, precision }
+    }
+
+    /// The texels of these rows as 32-bit floats. Halfs are cast after they are gathered: the table stays small in an
+    /// engine that keeps it as it is.
+    fn gather(&self, b: &mut Builder, rows: &Value) -> Value {
+        match self.precision {
+            Precision::Single => b.gather("values", &self.values, rows),
+            Precision::Half => {
+                let halfs = b.gather("values.half", &self.values, rows);
+                b.float_of("values", &halfs)
+            }
+        }
+    }
+}
 
 /// The L levels that take part in a lookup, as \[N, L\] or, where L is 1, as scalars.
 struct Levels {
@@ -22,11 +52,11 @@ struct Axis {
 }
 
 /// Looks a texture pyramid up: `u` \[N, 2\] and, where there are several levels, `level` \[N, 1\] within the
-/// pyramid. `table` is \[texels, C\], all levels row by row as in [`LevelSize::base`]. Returns \[N, C\].
+/// pyramid. Returns \[N, C\].
 ///
 /// All arithmetic is on \[N, L\]: broadcasting a short last axis costs onnxruntime more than the operation
 /// itself.
-pub fn lookup(b: &mut Builder, u: &Value, level: &Value, table: &Value, sizes: &[LevelSize]) -> Value {
+pub fn lookup(b: &mut Builder, u: &Value, level: &Value, table: &Table, sizes: &[LevelSize]) -> Value {
     let levels = match sizes {
         [size] => Levels {
             width: b.scalar(size.width as f32),
@@ -55,7 +85,7 @@ pub fn lookup(b: &mut Builder, u: &Value, level: &Value, table: &Value, sizes: &
     }
     let texels = b.concat("texels", &texels.iter().collect::<Vec<_>>(), 1);
     let weights = b.concat("weights", &weights.iter().collect::<Vec<_>>(), 1);
-    let values = b.gather("values", table, &texels);
+    let values = table.gather(b, &texels);
     let weights = b.unsqueeze("weights.row", &weights, &[1]);
     let sum = b.node("MatMul", "sum", &[&weights, &values], &[]);
     let axes = b.axes(&[1]);

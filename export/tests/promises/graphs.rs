@@ -8,12 +8,12 @@ use rten::{Model, Value, ValueOrView};
 /// |difference| / (1 + |value|) of 32-bit graphs against 64-bit loops. Measured: at most 2e-6, from three
 /// doublings of an angle and from texel weights (positions rounded to 2^-24 of a tile); ten times that for
 /// other processors and seeds.
-const TOLERANCE: f64 = 2e-5;
+pub const TOLERANCE: f64 = 2e-5;
 /// Queries a case: every kind of position, level and direction dozens of times.
 const QUERIES: usize = 1024;
 
 /// Feeds a graph by input names and returns rgb.
-fn run(graph: Vec<u8>, feeds: &[(&str, Vec<usize>, Vec<f32>)]) -> Vec<f32> {
+pub fn run(graph: Vec<u8>, feeds: &[(&str, Vec<usize>, Vec<f32>)]) -> Vec<f32> {
     let model = Model::load(graph).unwrap();
     let inputs = feeds
         .iter()
@@ -29,7 +29,7 @@ fn run(graph: Vec<u8>, feeds: &[(&str, Vec<usize>, Vec<f32>)]) -> Vec<f32> {
     data
 }
 
-fn feeds(queries: &Golden) -> Vec<(&'static str, Vec<usize>, Vec<f32>)> {
+pub fn feeds(queries: &Golden) -> Vec<(&'static str, Vec<usize>, Vec<f32>)> {
     let n = queries.u.len();
     vec![
         ("u", vec![n, 2], queries.u.concat()),
@@ -40,7 +40,7 @@ fn feeds(queries: &Golden) -> Vec<(&'static str, Vec<usize>, Vec<f32>)> {
 }
 
 /// Features as the decoder graph gets them, and the answers to them and to the whole query.
-fn expected(checkpoint: &Checkpoint, queries: &Golden) -> (Vec<f32>, Vec<f64>, Vec<f64>) {
+pub fn expected(checkpoint: &Checkpoint, queries: &Golden) -> (Vec<f32>, Vec<f64>, Vec<f64>) {
     let (mut features, mut decoder, mut material) = (vec![], vec![], vec![]);
     for i in 0..queries.u.len() {
         let (u, wi, wo, level) = (queries.u[i], queries.wi[i], queries.wo[i], queries.level[i]);
@@ -54,7 +54,7 @@ fn expected(checkpoint: &Checkpoint, queries: &Golden) -> (Vec<f32>, Vec<f64>, V
     (features, decoder, material)
 }
 
-fn largest_difference(answers: &[f32], expected: &[f64]) -> f64 {
+pub fn largest_difference(answers: &[f32], expected: &[f64]) -> f64 {
     assert_eq!(answers.len(), expected.len());
     let error = |(a, e): (&f32, &f64)| (f64::from(*a) - e).abs() / (1.0 + e.abs());
     // total_cmp puts NaN above everything: one cannot hide.

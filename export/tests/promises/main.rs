@@ -5,4 +5,5 @@ mod checkpoints;
 mod graphs;
 mod materials;
 mod plain;
+mod precision;
 mod textures;

@@ -176,7 +176,7 @@ impl Simd for Avx2 {
         unsafe { _mm256_castps_si256(a) }
     }
     #[inline(always)]
-    fn from_bits(self, a: __m256i) -> __m256 {
+    fn as_float(self, a: __m256i) -> __m256 {
         // SAFETY: the token proves the instructions.
         unsafe { _mm256_castsi256_ps(a) }
     }

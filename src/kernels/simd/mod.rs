@@ -81,7 +81,7 @@ pub trait Simd: Copy + Send + Sync {
     /// The bits of floats.
     fn bits(self, a: Self::F) -> Self::I;
     /// The floats of bits.
-    fn from_bits(self, a: Self::I) -> Self::F;
+    fn as_float(self, a: Self::I) -> Self::F;
     /// a + b, wrapping.
     fn int_add(self, a: Self::I, b: Self::I) -> Self::I;
     /// a b, wrapping.

@@ -135,7 +135,7 @@ impl Simd for Portable {
         map(a, |a| a.to_bits() as i32)
     }
     #[inline(always)]
-    fn from_bits(self, a: Self::I) -> Self::F {
+    fn as_float(self, a: Self::I) -> Self::F {
         map(a, |a| f32::from_bits(a as u32))
     }
     #[inline(always)]

@@ -42,7 +42,7 @@ impl Work for Apply<'_> {
             let sum = s.int_add(s.int_mul(s.truncate(a), s.int(3)), s.truncate(b));
             s.float(s.int_xor(s.int_and(sum, s.int(0xff)), s.int_up::<2>(s.int(1))))
         });
-        each!("bits", |a, _b| s.from_bits(s.int_up::<1>(s.int_down::<1>(s.bits(a)))));
+        each!("bits", |a, _b| s.as_float(s.int_up::<1>(s.int_down::<1>(s.bits(a)))));
         let mut rows = [s.splat(0.0); 5];
         for (i, row) in rows.iter_mut().enumerate() {
             *row = s.mul(s.load(self.0), s.splat(i as f32));
