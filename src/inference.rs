@@ -33,10 +33,7 @@ pub fn answerer(
             let isa = Isa::chosen()?;
             let material = FusedMaterial::new(architecture, &checkpoint.tensors, precision, isa)?;
             let textures = if precision == Precision::Half { ", f16 textures" } else { "" };
-            Ok(Answerer {
-                material: Box::new(material),
-                engine: format!("fused {}{textures}", isa.name()),
-            })
+            Ok(Answerer { material: Box::new(material), engine: format!("fused {}{textures}", isa.name()) })
         }
         (Some(EngineKind::Fused), false) => {
             Err(Error::usage("--engine fused: it runs on the CPU; use candle on other devices"))

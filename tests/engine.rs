@@ -1,12 +1,6 @@
 //! The fused engine answers and differentiates as plain float64 does, for every instruction set, shape and thread count.
 
-#[path = "../export/tests/promises/materials.rs"]
-#[allow(dead_code, reason = "the exporter's tests use all of it")]
-mod materials;
-#[path = "../export/tests/promises/plain.rs"]
-#[allow(dead_code, reason = "the exporter's tests use all of it")]
-mod plain;
-
+use crate::{materials, plain};
 use half::f16;
 use neumip::dataset::{Block, Layout, Patch};
 use neumip::engine::{Batch, FusedMaterial, Loss, Networks, Order, Plan, Precision, Sums, Textures};
@@ -116,12 +110,14 @@ fn any_shape_is_answered_and_a_changed_weight_is_noticed() {
         let q = buffer(&checkpoint, 300, 16);
         let exact = answers64(&checkpoint, &q);
         for isa in Isa::all() {
-            let error = worst(&material(&checkpoint, Precision::Single, isa).evaluate(&q).unwrap().pixels, &exact);
+            let error =
+                worst(&material(&checkpoint, Precision::Single, isa).evaluate(&q).unwrap().pixels, &exact);
             assert!(error < SHAPE_TOLERANCE, "{model:?} {}: {error:e}", isa.name());
         }
         checkpoint.tensors.get_mut("decoder.mlp.0.weight").unwrap().data[3] += 0.5;
         let isa = Isa::chosen().unwrap();
-        let error = worst(&material(&checkpoint, Precision::Single, isa).evaluate(&q).unwrap().pixels, &exact);
+        let error =
+            worst(&material(&checkpoint, Precision::Single, isa).evaluate(&q).unwrap().pixels, &exact);
         assert!(error > SHAPE_TOLERANCE);
     }
 }
@@ -217,7 +213,8 @@ fn poison_is_answered_or_named_and_never_a_panic() {
         let isa = Isa::chosen().unwrap();
         assert!(material(&poisoned, Precision::Single, isa).evaluate(&q).is_err(), "{name}");
         poisoned.tensors.remove("decoder.mlp.0.bias");
-        let error = FusedMaterial::new(&poisoned.header.architecture, &poisoned.tensors, Precision::Half, isa);
+        let error =
+            FusedMaterial::new(&poisoned.header.architecture, &poisoned.tensors, Precision::Half, isa);
         assert!(error.unwrap_err().to_string().contains("decoder.mlp.0.bias"));
     }
 }
@@ -303,7 +300,8 @@ fn fused_gradients_follow_float64_and_a_changed_one_does_not() {
     let scale = 0.125f32;
     let terms = [Term { kind: Kind::L2, remap: Remap::Linear, scale }];
     let loss = Loss { terms: &terms, range: [0.0, 1.0], highest_level: None, offset_texture: true };
-    let cases = materials::cases().into_iter().map(|(name, m, side)| (name.to_string(), m, side, GRADIENT_TOLERANCE));
+    let cases =
+        materials::cases().into_iter().map(|(name, m, side)| (name.to_string(), m, side, GRADIENT_TOLERANCE));
     let shape = |(k, (m, side))| (format!("shape {k}"), m, side, SHAPE_GRADIENT_TOLERANCE);
     for (name, model, resolution, tolerance) in cases.chain(shapes().into_iter().enumerate().map(shape)) {
         let checkpoint = materials::checkpoint(&model, resolution, 5);
@@ -358,7 +356,8 @@ fn pieces_larger_than_a_tile_give_what_small_ones_do() {
     let (whole, a) = gradients(&checkpoint, isa, &large, &loss);
     let (parts, b) = gradients(&checkpoint, isa, &small, &loss);
     assert!((whole - parts).abs() < ROUNDING * whole, "{whole} {parts}");
-    let (a, b) = (by_tensor(&checkpoint.header.architecture, &a), by_tensor(&checkpoint.header.architecture, &b));
+    let (a, b) =
+        (by_tensor(&checkpoint.header.architecture, &a), by_tensor(&checkpoint.header.architecture, &b));
     let mut checked = 0;
     for ((name, a), (_, b)) in a.iter().zip(&b) {
         let largest = b.iter().fold(0.0f64, |m, g| m.max(g.abs()));

@@ -227,7 +227,7 @@ fn the_exporter_knows_neither_candle_nor_the_trainer() {
 #[test]
 fn an_import_against_the_flow_is_found() {
     let against: [(&str, &str, &[&str]); 9] = [
-        ("kernels/adam.rs", "use crate::error::Error;", &["kernels/adam.rs: kernels -> error"]),
+        ("kernels/adam.rs", "use crate::config::Config;", &["kernels/adam.rs: kernels -> config"]),
         ("kernels/adam.rs", "use candle_core::Tensor;", &["kernels/adam.rs: mentions candle"]),
         ("query.rs", "fn f() { crate::model::device() }", &["query.rs: query -> model"]),
         (

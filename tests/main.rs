@@ -1,5 +1,12 @@
 //! The promises of neumip, a file each.
 
+#[path = "../export/tests/promises/materials.rs"]
+#[allow(dead_code, reason = "the exporter's tests use all of it")]
+mod materials;
+#[path = "../export/tests/promises/plain.rs"]
+#[allow(dead_code, reason = "the exporter's tests use all of it")]
+mod plain;
+
 mod command_line;
 mod dataset;
 mod demo;

@@ -1,12 +1,6 @@
 //! The candle model answers and differentiates as plain float64 loops do; it wraps, and is continuous in u and level.
 
-#[path = "../export/tests/promises/materials.rs"]
-#[allow(dead_code, reason = "the exporter's tests use all of it")]
-mod materials;
-#[path = "../export/tests/promises/plain.rs"]
-#[allow(dead_code, reason = "the exporter's tests use all of it")]
-mod plain;
-
+use crate::{materials, plain};
 use candle_core::{Device, Tensor, Var};
 use neumip::model::texture::Sigmas;
 use neumip::model::{Inputs, Networks, NeuralMaterial, Tables, Variables};

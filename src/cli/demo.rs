@@ -6,9 +6,9 @@ use super::export::Written;
 use super::{evaluate, export, generate, train};
 use crate::config::{Budget, Config};
 use crate::dataset::{Block, Dataset, Existing, GenerateConfig, SplitName};
+use crate::engine::FusedMaterial;
 use crate::error::{Error, Result};
 use crate::evaluate::Row;
-use crate::engine::FusedMaterial;
 use crate::query::{QueryBuffer, Reflectance, RgbImage};
 use crate::report::{self, CostRow, Curve, ExportRow, Panel, Report, TableRow};
 use crate::trainer::{Progress, Trainer};
@@ -64,7 +64,7 @@ pub struct Demo {
     #[arg(long, default_value_t = 10_000)]
     steps: u64,
     /// Samples a step.
-    #[arg(long, default_value_t = 2048)]
+    #[arg(long, default_value_t = 8192)]
     batch: usize,
     /// Unique training samples, by default 120 a texel.
     #[arg(long)]

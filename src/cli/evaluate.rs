@@ -2,11 +2,11 @@
 
 use super::console::Console;
 use crate::checkpoint;
+use crate::config::EngineKind;
 use crate::dataset::{Dataset, SplitName};
+use crate::engine::Precision;
 use crate::error::{Error, Result};
 use crate::evaluate::{Cost, Row, TIMED_QUERIES, costs, error_table};
-use crate::config::EngineKind;
-use crate::engine::Precision;
 use crate::inference::{Answerer, answerer};
 use crate::model;
 use crate::query::Reflectance;

@@ -3,7 +3,7 @@
 mod schedule;
 mod stages;
 
-pub use schedule::{AdamConfig, Blend, Budget, Decay, LearningRate, Smoothing, TextureUpdates};
+pub use schedule::{AdamConfig, Blend, Budget, Decay, LearningRate, Smoothing};
 pub use stages::{Plateau, Remap, Stage, StagePlan, Term, TermKind};
 
 use crate::error::{Error, Result};
@@ -39,9 +39,11 @@ pub struct TrainConfig {
     pub adam: AdamConfig,
     /// Gaussian smoothing of the textures while training.
     pub smoothing: Option<Smoothing>,
-    /// How often textures are updated and read anew.
+    /// Steps between two updates of the textures; the networks are updated at every one. Smoothing, its adjoint and Adam
+    /// touch every texel, whatever the batch: between updates texels' gradients are added up, as those of a batch so many
+    /// times as large would be. `null`: so that an update sees a quarter of a sample a texel.
     #[serde(default)]
-    pub textures: TextureUpdates,
+    pub texture_every: Option<u64>,
     /// Early blending of the stored pyramid towards its blur.
     pub blend: Option<Blend>,
     /// Share of the run after which the offset texture stops learning.
@@ -68,6 +70,9 @@ pub enum EngineKind {
     /// candle's graph, on any device.
     Candle,
 }
+
+/// Most steps between two updates of the textures.
+const MOST_EVERY: u64 = 4096;
 
 /// Names of the built-in presets.
 pub const PRESETS: [&str; 3] = ["neumip", "paper", "improved"];
@@ -123,6 +128,12 @@ impl Config {
 }
 
 impl TrainConfig {
+    /// Steps between two updates of the textures of a tile of \[height, width\] texels.
+    pub fn texture_every(&self, resolution: [usize; 2]) -> u64 {
+        let texels = (resolution[0] * resolution[1]) as u64;
+        self.texture_every.unwrap_or_else(|| (texels / (4 * self.batch.max(1) as u64)).clamp(1, MOST_EVERY))
+    }
+
     /// Checks every bound.
     ///
     /// # Errors
@@ -171,12 +182,10 @@ impl TrainConfig {
                 return fail("smoothing", "every value must be in 0 to 1000, start above 0".into());
             }
         }
-        let textures = &self.textures;
-        if !(1..=4096).contains(&textures.every) {
-            return fail("textures.every", format!("{} is outside 1 to 4096", textures.every));
-        }
-        if !finite_positive(textures.rate) {
-            return fail("textures.rate", format!("{} is not positive", textures.rate));
+        if let Some(every) = self.texture_every
+            && !(1..=MOST_EVERY).contains(&every)
+        {
+            return fail("texture_every", format!("{every} is outside 1 to {MOST_EVERY}"));
         }
         if let Some(b) = &self.blend
             && !(share(b.until)

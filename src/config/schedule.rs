@@ -98,23 +98,6 @@ impl Smoothing {
     }
 }
 
-/// How often textures are updated. Smoothing them, its adjoint and Adam touch every texel, whatever the batch; between
-/// updates their gradients are added up, as those of a batch so many times as large would be.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TextureUpdates {
-    /// Steps between two updates; the networks are updated at every one.
-    pub every: u64,
-    /// Factor on the learning rate of textures.
-    pub rate: f64,
-}
-
-impl Default for TextureUpdates {
-    fn default() -> Self {
-        Self { every: 1, rate: 1.0 }
-    }
-}
-
 /// Blending of the stored pyramid towards its own blur, early in the run (NeuMIP's code).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

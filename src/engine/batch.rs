@@ -199,8 +199,8 @@ impl Worker {
         let mut start = 0;
         for piece in pieces {
             let n = piece.side() * piece.side();
-            let [ux, wix, wox] =
-                [&mut self.piece.u, &mut self.piece.wi, &mut self.piece.wo].map(|pair| pair.split_at_mut(stride));
+            let [ux, wix, wox] = [&mut self.piece.u, &mut self.piece.wi, &mut self.piece.wo]
+                .map(|pair| pair.split_at_mut(stride));
             let rows = [ux.0, ux.1, wix.0, wix.1, wox.0, wox.1].map(|row| &mut row[start..start + n]);
             piece.layout().rows(plan.architecture.resolution, rows);
             let coarsest = (plan.architecture.levels() - 1) as f32;

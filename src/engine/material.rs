@@ -182,7 +182,8 @@ impl FusedMaterial {
         let stride = stride_of(end - start);
         tile.resize(&self.plan, &self.networks, stride, false);
         let Queries { u, level, wi, wo } = &mut tile.queries;
-        for (rows, pairs, wrap) in [(u, &queries.u, true), (wi, &queries.wi, false), (wo, &queries.wo, false)] {
+        for (rows, pairs, wrap) in [(u, &queries.u, true), (wi, &queries.wi, false), (wo, &queries.wo, false)]
+        {
             let (x, y) = rows.split_at_mut(stride);
             rows::split(self.plan.isa, &pairs[start..end], wrap, x, y);
         }

@@ -14,10 +14,10 @@ mod batch;
 mod material;
 mod networks;
 mod plan;
-mod textures;
-mod tile;
 #[cfg(test)]
 mod tests;
+mod textures;
+mod tile;
 
 pub use batch::{Batch, Loss, Sums};
 pub use material::{FusedMaterial, Precision, Prepared};

@@ -17,7 +17,8 @@ impl Table {
     /// A table in half precision.
     pub fn half(values: &[f32], channels: usize) -> Self {
         let wide = padded(channels);
-        let texel = |t: &[f32]| (0..wide).map(|c| t.get(c).map_or(f16::ZERO, |v| f16::from_f32(*v))).collect();
+        let texel =
+            |t: &[f32]| (0..wide).map(|c| t.get(c).map_or(f16::ZERO, |v| f16::from_f32(*v))).collect();
         Self::Half(values.chunks(channels.max(1)).flat_map::<Vec<f16>, _>(texel).collect())
     }
 

@@ -20,7 +20,12 @@ pub enum Factor<'a> {
 /// If `stride` is no multiple of 16 or a slice is too short.
 pub fn encode(isa: Isa, stride: usize, p: &[f32], bands: usize, pi: bool, factor: Factor, out: &mut [f32]) {
     let components = p.len() / stride;
-    assert!(stride.is_multiple_of(16) && components <= 3 && bands <= MOST_BANDS && out.len() >= 2 * components * bands * stride);
+    assert!(
+        stride.is_multiple_of(16)
+            && components <= 3
+            && bands <= MOST_BANDS
+            && out.len() >= 2 * components * bands * stride
+    );
     let uniform = match factor {
         Factor::Amplitude(_) => true,
         Factor::Footprint(level, _) => level.iter().all(|l| *l == level[0]),

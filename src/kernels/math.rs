@@ -22,10 +22,8 @@ pub fn sin_cos_pi<S: Simd>(s: S, t: S::F) -> (S::F, S::F) {
     let x = s.fma(s.sub(shifted, s.splat(ROUND)), s.splat(-0.5), t);
     let y = s.mul(x, x);
     let step = |sum: S::F, c: f32| s.fma(sum, y, s.splat(c));
-    let sin = s.mul(
-        step(step(step(step(s.splat(0.080_888_05), -0.599_186_1), 2.550_162), -5.167_712_8), PI),
-        x,
-    );
+    let sin =
+        s.mul(step(step(step(step(s.splat(0.080_888_05), -0.599_186_1), 2.550_162), -5.167_712_8), PI), x);
     let cos = step(
         step(step(step(step(s.splat(-0.025_447_44), 0.235_305_41), -1.335_262), 4.058_712), -4.934_802),
         1.0,
@@ -47,10 +45,7 @@ pub fn exp<S: Simd>(s: S, x: S::F) -> S::F {
     let n = s.sub(shifted, s.splat(ROUND));
     let r = s.fma(n, s.splat(-LOW), s.fma(n, s.splat(-HIGH), bounded));
     let step = |sum: S::F, c: f32| s.fma(sum, r, s.splat(c));
-    let tail = step(
-        step(step(step(s.splat(1.395_17e-3), 8.369_592e-3), 4.166_619e-2), 1.666_651_3e-1),
-        0.5,
-    );
+    let tail = step(step(step(step(s.splat(1.395_17e-3), 8.369_592e-3), 4.166_619e-2), 1.666_651_3e-1), 0.5);
     let mantissa = s.add(s.fma(s.mul(tail, r), r, r), s.splat(1.0));
     // The lowest bits of `shifted` hold n: moved up, they are added to the exponent.
     let value = s.as_float(s.int_add(s.bits(mantissa), s.int_up::<23>(s.bits(shifted))));

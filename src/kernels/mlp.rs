@@ -315,9 +315,8 @@ mod tests {
         let mut out = Vec::new();
         for (o, bias) in bias.iter().enumerate() {
             for k in 0..STRIDE {
-                let product = |i: usize| {
-                    f64::from(weight[o * inputs + of.start + i]) * f64::from(x[i * STRIDE + k])
-                };
+                let product =
+                    |i: usize| f64::from(weight[o * inputs + of.start + i]) * f64::from(x[i * STRIDE + k]);
                 out.push(f64::from(*bias) + (0..of.len()).map(product).sum::<f64>());
             }
         }

@@ -247,7 +247,9 @@ mod tests {
             parallax_gradient(isa, STRIDE, &gradient, &slopes, &reach, &mut out);
             let gradient64 = |k: usize| {
                 (0..2 * channels)
-                    .map(|i| f64::from(gradient[i % channels * STRIDE + k]) * f64::from(slopes[i * STRIDE + k]))
+                    .map(|i| {
+                        f64::from(gradient[i % channels * STRIDE + k]) * f64::from(slopes[i * STRIDE + k])
+                    })
                     .sum::<f64>()
                     * reach64(k)
             };

@@ -42,8 +42,7 @@ impl NeuralMaterial {
         let (wi, wo) = (&queries.wi[part.clone()], &queries.wo[part.clone()]);
         let (u, level) = (&queries.u[part.clone()], &queries.level[part]);
         let inputs = Inputs::new(self.architecture(), u, wi, wo, level, &self.device)?;
-        let rgb: Vec<f32> =
-            self.networks.forward(&inputs, &self.tables)?.flatten_all()?.to_vec1()?;
+        let rgb: Vec<f32> = self.networks.forward(&inputs, &self.tables)?.flatten_all()?.to_vec1()?;
         for (k, pixel) in out.iter_mut().enumerate() {
             if above_horizon(wi[k]) && above_horizon(wo[k]) {
                 // f32::max would hide a NaN behind 0.

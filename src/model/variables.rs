@@ -90,7 +90,7 @@ impl Variables {
         match (&*storage, layout.contiguous_offsets()) {
             (Storage::Cpu(CpuStorage::F32(_)), Some((start, end))) => {
                 Ok(Values { storage: Box::new(storage), range: start..end })
-            },
+            }
             _ => Err(Error::config(name, "its values are not in host memory")),
         }
     }

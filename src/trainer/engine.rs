@@ -93,8 +93,9 @@ pub fn engine(
         (None | Some(EngineKind::Candle), _) => {
             Ok(Box::new(CandleEngine::new(architecture, variables, device)?))
         }
-        (Some(EngineKind::Fused), false) => {
-            Err(Error::config("train.engine", "the fused engine runs on the CPU; use candle on other devices"))
-        }
+        (Some(EngineKind::Fused), false) => Err(Error::config(
+            "train.engine",
+            "the fused engine runs on the CPU; use candle on other devices",
+        )),
     }
 }

@@ -97,10 +97,8 @@ impl Engine for FusedEngine {
             _ => None,
         };
         let textures = Textures::new(self.batch.plan(), levels, offset);
-        let means = Means::of(
-            step.pieces.first().map_or(1, |p| p.side()),
-            step.pieces.iter().map(|p| p.patch()),
-        );
+        let means =
+            Means::of(step.pieces.first().map_or(1, |p| p.side()), step.pieces.iter().map(|p| p.patch()));
         let loss = Loss {
             terms: &scaled(step.terms, means),
             range: step.target_range,

@@ -134,8 +134,7 @@ impl Trainer {
         let variables = restore("value.")?;
         let moments = [restore("first.")?, restore("second.")?];
         let train = &config.train;
-        let learner =
-            Learner::restored(&architecture, variables, moments, train.adam, train.engine, device)?;
+        let learner = Learner::restored(&architecture, variables, moments, train.adam, train.engine, device)?;
         let progress: Progress = serde_json::from_value(state.progress).map_err(|e| Error::file(out, e))?;
         let sources = Sources::open(&config, data, record.memory, progress.step)?;
         let mut this = Self::assemble(config, learner, sources, data, folder, device)?;
@@ -198,7 +197,8 @@ impl Trainer {
         let mut next_validation = self.next_validation();
         let mut stop = false;
         while self.progress.fraction < 1.0 {
-            let loss = match self.step() {
+            // Inside the pool, the step's many parallel parts begin without waking it each time.
+            let loss = match rayon::scope(|_| self.step()) {
                 Ok(loss) => loss,
                 Err(error) => {
                     if matches!(error, Error::Diverged(_)) {
@@ -288,13 +288,12 @@ impl Trainer {
         }
         let rate = train.learning_rate.at(fraction);
         self.learner.update_networks(rate, step + 1)?;
-        let textures = train.textures;
         self.progress.step += 1;
         self.progress.samples += train.batch as u64;
         self.progress.add_loss(loss, self.curve_interval());
         if self.between_updates() == 0 || self.fraction() >= 1.0 {
-            let updates = self.progress.step.div_ceil(textures.every);
-            self.learner.update_textures(rate * textures.rate, updates, offset_texture)?;
+            let updates = self.progress.step.div_ceil(self.texture_every());
+            self.learner.update_textures(rate, updates, offset_texture)?;
             self.blend()?;
         }
         Ok(loss)
@@ -302,7 +301,11 @@ impl Trainer {
 
     /// Steps since the last update of the textures.
     fn between_updates(&self) -> u64 {
-        self.progress.step % self.config.train.textures.every
+        self.progress.step % self.texture_every()
+    }
+
+    fn texture_every(&self) -> u64 {
+        self.config.train.texture_every(self.learner.architecture().resolution)
     }
 
     fn explain(&self, step: &Step, sigmas: &Sigmas) -> Result<String> {
@@ -405,7 +408,8 @@ impl Trainer {
     fn save_last(&self) -> Result<()> {
         let mut tensors = std::collections::BTreeMap::new();
         let (first, second) = self.learner.moments();
-        for (prefix, variables) in [("value", self.learner.variables()), ("first", first), ("second", second)] {
+        for (prefix, variables) in [("value", self.learner.variables()), ("first", first), ("second", second)]
+        {
             for (name, tensor) in variables.to_stored()? {
                 tensors.insert(format!("{prefix}.{name}"), tensor);
             }

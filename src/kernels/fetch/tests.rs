@@ -1,6 +1,7 @@
 //! Lookups and scatters against plain float64.
 
 use super::*;
+use crate::kernels::simd::Isa;
 use crate::random::{Random, Stream};
 
 /// Mixing eight texels of size 1 at a position within a tile of up to 64 texels, whose rounding moves it by 4e-6 of a texel.
