@@ -63,15 +63,20 @@ impl Work for FindAim<'_> {
                         continue;
                     }
                     // The two texels of a row mostly lie side by side, on one line or on two.
-                    for (c, end) in [(0, 0), (1, 1), (2, 0), (3, 1)] {
-                        let texel = corners.index[c][i] as usize;
-                        match self.pyramid.levels.get(corners.level[i] as usize) {
-                            Some(Texels::Single(all)) => {
-                                s.prefetch(all, texel * self.channels + end * (self.channels - 1));
+                    let texel = |c: usize| corners.index[c][i] as usize;
+                    match self.pyramid.levels.get(corners.level[i] as usize) {
+                        Some(Texels::Single(all)) => {
+                            for c in [0, 2] {
+                                s.prefetch(all, texel(c) * self.channels);
+                                s.prefetch(all, (texel(c + 1) + 1) * self.channels - 1);
                             }
-                            Some(Texels::Half(all)) => s.prefetch(all, texel * padded(self.channels)),
-                            None => {}
                         }
+                        Some(Texels::Half(all)) => {
+                            for c in 0..4 {
+                                s.prefetch(all, texel(c) * padded(self.channels));
+                            }
+                        }
+                        None => {}
                     }
                 }
             }
