@@ -199,7 +199,8 @@ impl FusedMaterial {
 fn write(tile: &Tile, lit: impl Fn(usize) -> bool, out: &mut [[f32; 3]]) {
     let (red, rest) = tile.rgb.split_at(tile.stride);
     let (green, blue) = rest.split_at(tile.stride);
-    for (k, (pixel, ((red, green), blue))) in out.iter_mut().zip(red.iter().zip(green).zip(blue)).enumerate() {
+    for (k, (pixel, ((red, green), blue))) in out.iter_mut().zip(red.iter().zip(green).zip(blue)).enumerate()
+    {
         if lit(k) {
             // f32::max would hide a NaN behind 0.
             *pixel = [*red, *green, *blue].map(|value| if value < 0.0 { 0.0 } else { value });

@@ -1,6 +1,6 @@
 //! AVX2 with FMA and F16C: vectors of 8.
 
-use super::x86::texels;
+use super::x86::{instructions, texels};
 use super::{Simd, TEXEL, Work};
 use std::arch::x86_64::*;
 
@@ -80,66 +80,6 @@ impl Simd for Avx2 {
         unsafe { _mm256_storeu_si256(to.as_mut_ptr().cast(), a) }
     }
     #[inline(always)]
-    fn splat(self, x: f32) -> __m256 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_set1_ps(x) }
-    }
-    #[inline(always)]
-    fn add(self, a: __m256, b: __m256) -> __m256 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_add_ps(a, b) }
-    }
-    #[inline(always)]
-    fn sub(self, a: __m256, b: __m256) -> __m256 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_sub_ps(a, b) }
-    }
-    #[inline(always)]
-    fn mul(self, a: __m256, b: __m256) -> __m256 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_mul_ps(a, b) }
-    }
-    #[inline(always)]
-    fn div(self, a: __m256, b: __m256) -> __m256 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_div_ps(a, b) }
-    }
-    #[inline(always)]
-    fn max(self, a: __m256, b: __m256) -> __m256 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_max_ps(a, b) }
-    }
-    #[inline(always)]
-    fn min(self, a: __m256, b: __m256) -> __m256 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_min_ps(a, b) }
-    }
-    #[inline(always)]
-    fn fma(self, a: __m256, b: __m256, c: __m256) -> __m256 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_fmadd_ps(a, b, c) }
-    }
-    #[inline(always)]
-    fn sqrt(self, a: __m256) -> __m256 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_sqrt_ps(a) }
-    }
-    #[inline(always)]
-    fn floor(self, a: __m256) -> __m256 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_floor_ps(a) }
-    }
-    #[inline(always)]
-    fn greater(self, a: __m256, b: __m256) -> __m256 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_cmp_ps::<_CMP_GT_OQ>(a, b) }
-    }
-    #[inline(always)]
-    fn select(self, mask: __m256, a: __m256, b: __m256) -> __m256 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_blendv_ps(b, a, mask) }
-    }
-    #[inline(always)]
     fn sums<const M: usize>(self, rows: &[__m256; M], out: &mut [f32; M]) {
         for start in (0..M).step_by(N) {
             let mut group = [self.splat(0.0); N];
@@ -156,51 +96,6 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
-    fn int(self, x: i32) -> __m256i {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_set1_epi32(x) }
-    }
-    #[inline(always)]
-    fn truncate(self, a: __m256) -> __m256i {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_cvttps_epi32(a) }
-    }
-    #[inline(always)]
-    fn float(self, a: __m256i) -> __m256 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_cvtepi32_ps(a) }
-    }
-    #[inline(always)]
-    fn bits(self, a: __m256) -> __m256i {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_castps_si256(a) }
-    }
-    #[inline(always)]
-    fn as_float(self, a: __m256i) -> __m256 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_castsi256_ps(a) }
-    }
-    #[inline(always)]
-    fn int_add(self, a: __m256i, b: __m256i) -> __m256i {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_add_epi32(a, b) }
-    }
-    #[inline(always)]
-    fn int_mul(self, a: __m256i, b: __m256i) -> __m256i {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_mullo_epi32(a, b) }
-    }
-    #[inline(always)]
-    fn int_and(self, a: __m256i, b: __m256i) -> __m256i {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_and_si256(a, b) }
-    }
-    #[inline(always)]
-    fn int_xor(self, a: __m256i, b: __m256i) -> __m256i {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm256_xor_si256(a, b) }
-    }
-    #[inline(always)]
     fn int_up<const B: u32>(self, a: __m256i) -> __m256i {
         // SAFETY: the token proves the instructions.
         unsafe { _mm256_sll_epi32(a, _mm_cvtsi32_si128(B as i32)) }
@@ -209,6 +104,29 @@ impl Simd for Avx2 {
     fn int_down<const B: u32>(self, a: __m256i) -> __m256i {
         // SAFETY: the token proves the instructions.
         unsafe { _mm256_srl_epi32(a, _mm_cvtsi32_si128(B as i32)) }
+    }
+    instructions! {
+        splat(x: f32) -> __m256 = _mm256_set1_ps(x);
+        add(a: __m256, b: __m256) -> __m256 = _mm256_add_ps(a, b);
+        sub(a: __m256, b: __m256) -> __m256 = _mm256_sub_ps(a, b);
+        mul(a: __m256, b: __m256) -> __m256 = _mm256_mul_ps(a, b);
+        div(a: __m256, b: __m256) -> __m256 = _mm256_div_ps(a, b);
+        max(a: __m256, b: __m256) -> __m256 = _mm256_max_ps(a, b);
+        min(a: __m256, b: __m256) -> __m256 = _mm256_min_ps(a, b);
+        fma(a: __m256, b: __m256, c: __m256) -> __m256 = _mm256_fmadd_ps(a, b, c);
+        sqrt(a: __m256) -> __m256 = _mm256_sqrt_ps(a);
+        floor(a: __m256) -> __m256 = _mm256_floor_ps(a);
+        greater(a: __m256, b: __m256) -> __m256 = _mm256_cmp_ps::<_CMP_GT_OQ>(a, b);
+        select(mask: __m256, a: __m256, b: __m256) -> __m256 = _mm256_blendv_ps(b, a, mask);
+        int(x: i32) -> __m256i = _mm256_set1_epi32(x);
+        truncate(a: __m256) -> __m256i = _mm256_cvttps_epi32(a);
+        float(a: __m256i) -> __m256 = _mm256_cvtepi32_ps(a);
+        bits(a: __m256) -> __m256i = _mm256_castps_si256(a);
+        as_float(a: __m256i) -> __m256 = _mm256_castsi256_ps(a);
+        int_add(a: __m256i, b: __m256i) -> __m256i = _mm256_add_epi32(a, b);
+        int_mul(a: __m256i, b: __m256i) -> __m256i = _mm256_mullo_epi32(a, b);
+        int_and(a: __m256i, b: __m256i) -> __m256i = _mm256_and_si256(a, b);
+        int_xor(a: __m256i, b: __m256i) -> __m256i = _mm256_xor_si256(a, b);
     }
     texels!();
 }

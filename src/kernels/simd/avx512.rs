@@ -1,6 +1,6 @@
 //! AVX-512: vectors of 16.
 
-use super::x86::texels;
+use super::x86::{instructions, texels};
 use super::{Simd, TEXEL, Work};
 use std::arch::x86_64::*;
 
@@ -93,66 +93,6 @@ impl Simd for Avx512 {
         unsafe { _mm512_storeu_si512(to.as_mut_ptr().cast(), a) }
     }
     #[inline(always)]
-    fn splat(self, x: f32) -> __m512 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_set1_ps(x) }
-    }
-    #[inline(always)]
-    fn add(self, a: __m512, b: __m512) -> __m512 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_add_ps(a, b) }
-    }
-    #[inline(always)]
-    fn sub(self, a: __m512, b: __m512) -> __m512 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_sub_ps(a, b) }
-    }
-    #[inline(always)]
-    fn mul(self, a: __m512, b: __m512) -> __m512 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_mul_ps(a, b) }
-    }
-    #[inline(always)]
-    fn div(self, a: __m512, b: __m512) -> __m512 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_div_ps(a, b) }
-    }
-    #[inline(always)]
-    fn max(self, a: __m512, b: __m512) -> __m512 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_max_ps(a, b) }
-    }
-    #[inline(always)]
-    fn min(self, a: __m512, b: __m512) -> __m512 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_min_ps(a, b) }
-    }
-    #[inline(always)]
-    fn fma(self, a: __m512, b: __m512, c: __m512) -> __m512 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_fmadd_ps(a, b, c) }
-    }
-    #[inline(always)]
-    fn sqrt(self, a: __m512) -> __m512 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_sqrt_ps(a) }
-    }
-    #[inline(always)]
-    fn floor(self, a: __m512) -> __m512 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_roundscale_ps::<0x09>(a) }
-    }
-    #[inline(always)]
-    fn greater(self, a: __m512, b: __m512) -> __mmask16 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_cmp_ps_mask::<_CMP_GT_OQ>(a, b) }
-    }
-    #[inline(always)]
-    fn select(self, mask: __mmask16, a: __m512, b: __m512) -> __m512 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_mask_blend_ps(mask, b, a) }
-    }
-    #[inline(always)]
     fn sums<const M: usize>(self, rows: &[__m512; M], out: &mut [f32; M]) {
         for start in (0..M).step_by(N) {
             let mut group = [self.splat(0.0); N];
@@ -169,51 +109,6 @@ impl Simd for Avx512 {
         }
     }
     #[inline(always)]
-    fn int(self, x: i32) -> __m512i {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_set1_epi32(x) }
-    }
-    #[inline(always)]
-    fn truncate(self, a: __m512) -> __m512i {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_cvttps_epi32(a) }
-    }
-    #[inline(always)]
-    fn float(self, a: __m512i) -> __m512 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_cvtepi32_ps(a) }
-    }
-    #[inline(always)]
-    fn bits(self, a: __m512) -> __m512i {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_castps_si512(a) }
-    }
-    #[inline(always)]
-    fn as_float(self, a: __m512i) -> __m512 {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_castsi512_ps(a) }
-    }
-    #[inline(always)]
-    fn int_add(self, a: __m512i, b: __m512i) -> __m512i {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_add_epi32(a, b) }
-    }
-    #[inline(always)]
-    fn int_mul(self, a: __m512i, b: __m512i) -> __m512i {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_mullo_epi32(a, b) }
-    }
-    #[inline(always)]
-    fn int_and(self, a: __m512i, b: __m512i) -> __m512i {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_and_si512(a, b) }
-    }
-    #[inline(always)]
-    fn int_xor(self, a: __m512i, b: __m512i) -> __m512i {
-        // SAFETY: the token proves the instructions.
-        unsafe { _mm512_xor_si512(a, b) }
-    }
-    #[inline(always)]
     fn int_up<const B: u32>(self, a: __m512i) -> __m512i {
         // SAFETY: the token proves the instructions.
         unsafe { _mm512_slli_epi32::<B>(a) }
@@ -222,6 +117,29 @@ impl Simd for Avx512 {
     fn int_down<const B: u32>(self, a: __m512i) -> __m512i {
         // SAFETY: the token proves the instructions.
         unsafe { _mm512_srli_epi32::<B>(a) }
+    }
+    instructions! {
+        splat(x: f32) -> __m512 = _mm512_set1_ps(x);
+        add(a: __m512, b: __m512) -> __m512 = _mm512_add_ps(a, b);
+        sub(a: __m512, b: __m512) -> __m512 = _mm512_sub_ps(a, b);
+        mul(a: __m512, b: __m512) -> __m512 = _mm512_mul_ps(a, b);
+        div(a: __m512, b: __m512) -> __m512 = _mm512_div_ps(a, b);
+        max(a: __m512, b: __m512) -> __m512 = _mm512_max_ps(a, b);
+        min(a: __m512, b: __m512) -> __m512 = _mm512_min_ps(a, b);
+        fma(a: __m512, b: __m512, c: __m512) -> __m512 = _mm512_fmadd_ps(a, b, c);
+        sqrt(a: __m512) -> __m512 = _mm512_sqrt_ps(a);
+        floor(a: __m512) -> __m512 = _mm512_roundscale_ps::<0x09>(a);
+        greater(a: __m512, b: __m512) -> __mmask16 = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(a, b);
+        select(mask: __mmask16, a: __m512, b: __m512) -> __m512 = _mm512_mask_blend_ps(mask, b, a);
+        int(x: i32) -> __m512i = _mm512_set1_epi32(x);
+        truncate(a: __m512) -> __m512i = _mm512_cvttps_epi32(a);
+        float(a: __m512i) -> __m512 = _mm512_cvtepi32_ps(a);
+        bits(a: __m512) -> __m512i = _mm512_castps_si512(a);
+        as_float(a: __m512i) -> __m512 = _mm512_castsi512_ps(a);
+        int_add(a: __m512i, b: __m512i) -> __m512i = _mm512_add_epi32(a, b);
+        int_mul(a: __m512i, b: __m512i) -> __m512i = _mm512_mullo_epi32(a, b);
+        int_and(a: __m512i, b: __m512i) -> __m512i = _mm512_and_si512(a, b);
+        int_xor(a: __m512i, b: __m512i) -> __m512i = _mm512_xor_si512(a, b);
     }
     texels!();
 }

@@ -33,20 +33,35 @@ pub unsafe fn transpose(r: [__m256; TEXEL]) -> [__m256; TEXEL] {
     }
 }
 
+/// Methods of `Simd` that are one instruction, or a few without memory, on a token that proves them.
+macro_rules! instructions {
+    ($($name:ident($($argument:ident: $type:ty),*) -> $result:ty = $value:expr;)*) => {
+        $(
+            #[inline(always)]
+            fn $name(self, $($argument: $type),*) -> $result {
+                // SAFETY: the token proves the instructions.
+                unsafe { $value }
+            }
+        )*
+    };
+}
+
 /// The methods of `Simd` on texels, for a token whose machine has AVX2, FMA and F16C.
 macro_rules! texels {
     () => {
+        super::x86::instructions! {
+            texel_splat(x: f32) -> __m256 = _mm256_set1_ps(x);
+            texel_add(a: __m256, b: __m256) -> __m256 = _mm256_add_ps(a, b);
+            texel_sub(a: __m256, b: __m256) -> __m256 = _mm256_sub_ps(a, b);
+            texel_mul(a: __m256, b: __m256) -> __m256 = _mm256_mul_ps(a, b);
+            texel_fma(a: __m256, b: __m256, c: __m256) -> __m256 = _mm256_fmadd_ps(a, b, c);
+        }
         #[inline(always)]
         fn prefetch<X>(self, all: &[X], at: usize) {
             if let Some(value) = all.get(at) {
                 // SAFETY: every x86-64 has the instruction; the address is of a value of the slice.
                 unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast()) }
             }
-        }
-        #[inline(always)]
-        fn texel_splat(self, x: f32) -> __m256 {
-            // SAFETY: the token proves the instructions.
-            unsafe { _mm256_set1_ps(x) }
         }
         #[inline(always)]
         fn texel_load(self, from: &[f32; TEXEL]) -> __m256 {
@@ -64,26 +79,6 @@ macro_rules! texels {
             unsafe { _mm256_storeu_ps(to.as_mut_ptr(), a) }
         }
         #[inline(always)]
-        fn texel_add(self, a: __m256, b: __m256) -> __m256 {
-            // SAFETY: the token proves the instructions.
-            unsafe { _mm256_add_ps(a, b) }
-        }
-        #[inline(always)]
-        fn texel_sub(self, a: __m256, b: __m256) -> __m256 {
-            // SAFETY: the token proves the instructions.
-            unsafe { _mm256_sub_ps(a, b) }
-        }
-        #[inline(always)]
-        fn texel_mul(self, a: __m256, b: __m256) -> __m256 {
-            // SAFETY: the token proves the instructions.
-            unsafe { _mm256_mul_ps(a, b) }
-        }
-        #[inline(always)]
-        fn texel_fma(self, a: __m256, b: __m256, c: __m256) -> __m256 {
-            // SAFETY: the token proves the instructions.
-            unsafe { _mm256_fmadd_ps(a, b, c) }
-        }
-        #[inline(always)]
         fn transpose(self, rows: [__m256; TEXEL]) -> [__m256; TEXEL] {
             // SAFETY: the token proves the instructions.
             unsafe { super::x86::transpose(rows) }
@@ -91,4 +86,4 @@ macro_rules! texels {
     };
 }
 
-pub(super) use texels;
+pub(super) use {instructions, texels};
