@@ -145,6 +145,11 @@ fn prepared_queries_answer_as_whole_ones_under_every_light() {
             assert!(material.light(&prepared, &q.wi[1..]).is_err());
             assert!(material.prepare(&q.u, &q.level[1..], &q.wo).is_err());
             assert!(material.prepare(&[[f32::NAN; 2]], &[0.0], &[[0.0; 2]]).is_err());
+            let (other, side) = shapes().remove(1);
+            let other = materials::checkpoint(&other, side, 1);
+            let other =
+                FusedMaterial::new(&other.header.architecture, &other.tensors, Precision::Single, isa);
+            assert!(other.unwrap().light(&prepared, &q.wi).is_err());
         }
     }
 }

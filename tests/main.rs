@@ -11,6 +11,7 @@ mod command_line;
 mod dataset;
 mod demo;
 mod engine;
+mod engines;
 mod house;
 mod model;
 mod onnx;

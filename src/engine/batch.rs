@@ -103,6 +103,9 @@ impl Batch {
     }
 
     /// The loss of a batch. Its gradients by the weights replace those of `sums`; those by the texels are added.
+    ///
+    /// # Panics
+    /// If the networks, textures or sums are those of another plan, or the pieces differ in side.
     pub fn gradients(
         &mut self,
         networks: &Networks,

@@ -45,6 +45,8 @@ pub struct FusedMaterial {
 pub struct Prepared {
     /// Tiles of \[outputs of the first layer\]\[[`TILE`]\].
     sums: Vec<f32>,
+    /// Outputs of the first layer.
+    outputs: usize,
     /// Whether each query's wo is above the horizon.
     visible: Vec<bool>,
 }
@@ -142,17 +144,24 @@ impl FusedMaterial {
                 out[..tile.partial.len()].copy_from_slice(&tile.partial);
             }
         });
-        Ok(Prepared { sums, visible: wo.iter().map(|w| above_horizon(*w)).collect() })
+        Ok(Prepared {
+            sums,
+            outputs: self.networks.first_outputs(),
+            visible: wo.iter().map(|w| above_horizon(*w)).collect(),
+        })
     }
 
     /// Answers prepared queries under one light each: RGB as [`Reflectance::evaluate`] gives it.
     ///
     /// # Errors
-    /// `Config` if `wi` has another length, is not finite, or an answer is not.
+    /// `Config` if `wi` has another length, is not finite, or an answer is not, or if another model prepared the queries.
     pub fn light(&self, prepared: &Prepared, wi: &[[f32; 2]]) -> Result<Vec<[f32; 3]>> {
         if wi.len() != prepared.len() {
             let problem = format!("has {} entries where {} queries are prepared", wi.len(), prepared.len());
             return Err(Error::config("query.wi", problem));
+        }
+        if prepared.outputs != self.networks.first_outputs() {
+            return Err(Error::config("queries", "were prepared by a model with another first layer"));
         }
         if let Some(i) = wi.iter().position(|w| !(w[0].is_finite() && w[1].is_finite())) {
             return Err(Error::config(format!("query.wi[{i}]"), "is not finite"));

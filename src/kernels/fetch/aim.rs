@@ -3,7 +3,7 @@
 use super::{GROUP, Places, Pyramid, Texels, padded};
 use crate::kernels::simd::{Isa, Simd, Work, dispatch};
 
-/// Which texels the samples of a tile read: found by [`aim`], read by [`read`]. What is done between the two hides the
+/// Which texels the samples of a tile read: found by [`aim()`], read by [`super::read()`]. What is done between the two hides the
 /// time that texels take to arrive.
 #[derive(Clone, Debug, Default)]
 pub struct Aim(pub(super) Vec<[Corners; 2]>);
