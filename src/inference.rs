@@ -1,12 +1,13 @@
 //! A checkpoint as something that answers queries: through the fused engine or through candle.
 
 use crate::config::EngineKind;
-use crate::engine::{FusedMaterial, Precision};
+use crate::engine::FusedMaterial;
 use crate::error::{Error, Result};
 use crate::kernels::simd::Isa;
 use crate::model::NeuralMaterial;
 use crate::query::Reflectance;
 use candle_core::Device;
+use neumip_export::Precision;
 use neumip_export::checkpoint::{Checkpoint, Header};
 
 /// A material and what answers for it.

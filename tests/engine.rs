@@ -3,14 +3,14 @@
 use crate::{materials, plain};
 use half::f16;
 use neumip::dataset::{Block, Layout, Patch};
-use neumip::engine::{Batch, FusedMaterial, Loss, Networks, Order, Plan, Precision, Sums, Textures};
+use neumip::engine::{Batch, FusedMaterial, Loss, Networks, Order, Plan, Sums, Textures};
 use neumip::kernels::fetch::{Texels, padded};
 use neumip::kernels::loss::{Kind, Remap, Term};
 use neumip::kernels::simd::Isa;
 use neumip::query::{QueryBuffer, Reflectance};
 use neumip::random::{Random, Stream};
-use neumip_export::Checkpoint;
 use neumip_export::config::*;
+use neumip_export::{Checkpoint, Precision};
 use rayon::ThreadPoolBuilder;
 
 /// |difference| / (1 + |value|) of f32 kernels against float64: the exporter's tolerance, for the same reasons.

@@ -3,7 +3,6 @@
 use crate::python_environment;
 use candle_core::Device;
 use neumip::config::Config;
-use neumip::engine;
 use neumip::export::checkpoint::{FORMAT, Header};
 use neumip::export::config::{ModelConfig, OFFSET_TEXTURE, OutputSpace, OutputTransform, ParallaxConfig};
 use neumip::export::{
@@ -292,10 +291,10 @@ fn the_engine_with_half_textures_answers_as_the_bundle_with_them() {
         let answerer = answerer(&checkpoint, None, precision, &Device::Cpu).unwrap();
         answerer.material.evaluate(&queries).unwrap().pixels
     };
-    let difference = largest_difference(&engine(engine::Precision::Half), &bundled);
+    let difference = largest_difference(&engine(Precision::Half), &bundled);
     println!("fused with half textures against the rounded checkpoint: {difference:.2e}");
     assert!(difference <= TOLERANCE, "{difference:e}");
-    assert!(largest_difference(&engine(engine::Precision::Single), &bundled) > TOLERANCE);
+    assert!(largest_difference(&engine(Precision::Single), &bundled) > TOLERANCE);
 }
 
 #[test]

@@ -4,12 +4,13 @@ use super::subject::Subject;
 use super::work::{Task, Trainee};
 use super::{Options, Row, peak};
 use crate::config::{EngineKind, Smoothing};
-use crate::engine::{FusedMaterial, Precision};
+use crate::engine::FusedMaterial;
 use crate::error::{Error, Result};
 use crate::kernels::simd::Isa;
 use crate::model::texture::Sigmas;
 use crate::model::{self, NeuralMaterial, Variables};
 use crate::trainer::Learner;
+use neumip_export::Precision;
 use neumip_export::checkpoint::Checkpoint;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 

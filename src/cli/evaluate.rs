@@ -4,13 +4,13 @@ use super::console::Console;
 use crate::checkpoint;
 use crate::config::EngineKind;
 use crate::dataset::{Dataset, SplitName};
-use crate::engine::Precision;
 use crate::error::{Error, Result};
 use crate::evaluate::{Cost, Row, TIMED_QUERIES, costs, error_table};
 use crate::inference::{Answerer, answerer};
 use crate::model;
 use crate::query::Reflectance;
 use clap::Args;
+use neumip_export::Precision;
 use serde::Serialize;
 use std::path::PathBuf;
 

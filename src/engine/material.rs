@@ -8,28 +8,16 @@ use crate::error::{Error, Result};
 use crate::kernels::rows;
 use crate::kernels::simd::Isa;
 use crate::query::{QueryBuffer, Reflectance, RgbImage, above_horizon};
-use neumip_export::Tensor;
 use neumip_export::checkpoint::Checkpoint;
 use neumip_export::config::{Architecture, OFFSET_TEXTURE, texture_name};
+use neumip_export::{Precision, Tensor};
 use rayon::prelude::*;
-use serde::Serialize;
 use std::collections::BTreeMap;
 
 /// Samples of a tile: the decoder's input and one layer's outputs stay in the first-level cache.
 const TILE: usize = 64;
 /// Queries that a core answers at a time.
 const CHUNK: usize = 16 * TILE;
-
-/// How textures are stored while answering.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Precision {
-    /// f32.
-    #[default]
-    Single,
-    /// f16; the arithmetic stays f32.
-    Half,
-}
 
 /// A neural material in fused kernels.
 #[derive(Clone, Debug)]

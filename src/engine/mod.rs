@@ -20,7 +20,7 @@ mod textures;
 mod tile;
 
 pub use batch::{Batch, Loss, Sums};
-pub use material::{FusedMaterial, Precision, Prepared};
+pub use material::{FusedMaterial, Prepared};
 pub use networks::Networks;
 pub use plan::{Order, Plan};
 pub use textures::{Table, Textures};
