@@ -3,7 +3,8 @@
 use neumip::query::{QueryBuffer, Reflectance, unit};
 use neumip::random::{Random, Stream};
 use neumip::reference::{
-    Brdf, HeightMap, Heightfield, Material, Measured, Reference, ReferenceOptions, Sampling, Texture,
+    Brdf, HeightMap, Heightfield, Material, Measured, Paint, Part, Reference, ReferenceOptions, Sampling,
+    Texture, builtin,
 };
 use std::f32::consts::PI;
 use std::path::Path;
@@ -12,15 +13,7 @@ const WHITE: [f32; 3] = [1.0; 3];
 
 /// White, Lambert, everywhere the same, over the given heights.
 fn lambert(base: [f32; 3], height: HeightMap) -> Material {
-    Material {
-        name: "lambert".into(),
-        height,
-        base_colour: Texture::constant(base),
-        roughness: Texture::constant([0.5]),
-        metalness: Texture::constant([0.0]),
-        specular: Texture::constant([0.0]),
-        notes: Vec::new(),
-    }
+    Material::solid("lambert", height, Paint::plain(base, 0.5, 0.0))
 }
 
 fn flat(z: f32) -> HeightMap {
@@ -37,7 +30,7 @@ fn reference(material: Material) -> Reference {
     Reference::new(material, &ReferenceOptions::default()).unwrap()
 }
 
-fn builtin(name: &str, field_side: usize) -> Reference {
+fn open_builtin(name: &str, field_side: usize) -> Reference {
     Reference::open(name, &ReferenceOptions { field_side, ..ReferenceOptions::default() }).unwrap()
 }
 
@@ -89,7 +82,7 @@ fn white_surface_under_a_white_sky_returns_everything() {
             estimate(20_000, |random| {
                 let p = [random.uniform_f64(), random.uniform_f64()];
                 let wo = hemisphere(random);
-                reference.surface().sky_radiance(p, wo, random)[0]
+                reference.geometry().sky_radiance(p, wo, random)[0]
             })
         };
         assert!(is_one(sky(WHITE)));
@@ -105,7 +98,7 @@ fn distant_lights_add_up_to_the_sky() {
         estimate(40_000, |random| {
             let p = [random.uniform_f64(), random.uniform_f64()];
             let (wi, wo) = (hemisphere(random), unit64([0.3, 0.2]));
-            2.0 * PI * reference.surface().radiance(p, wi, wo, bounces, random)[0]
+            2.0 * PI * reference.geometry().radiance(p, wi, wo, bounces, random, &mut 0)[0]
         })
     };
     assert!(is_one(all_lights(64)));
@@ -244,7 +237,8 @@ fn flat_lambert_is_base_over_pi_times_cosine() {
 fn patches(z: f32) -> Material {
     let mut random = Random::new(3, Stream::Probe, 0);
     let texels = (0..256).map(|_| std::array::from_fn(|_| random.uniform())).collect();
-    Material { base_colour: Texture::new(16, texels).unwrap(), ..lambert(WHITE, flat(z)) }
+    let paint = Paint { base_colour: Texture::new(16, texels).unwrap(), ..Paint::plain(WHITE, 0.5, 0.0) };
+    Material::solid("patches", flat(z), paint)
 }
 
 #[test]
@@ -271,7 +265,7 @@ fn parallax_shifts_by_height_times_slope() {
 
 #[test]
 fn answers_repeat_with_the_tile() {
-    let reference = builtin("rocks", 64);
+    let reference = open_builtin("rocks", 64);
     let slice = QueryBuffer::slice(16, 16, [0.5, 0.2], [-0.6, 0.5], 1.5);
     let mut moved = slice.clone();
     moved.u.iter_mut().for_each(|u| *u = [u[0] + 2.0, u[1] - 1.0]);
@@ -293,14 +287,13 @@ fn rolled_texture<const N: usize>(texture: &Texture<N>) -> Texture<N> {
 
 #[test]
 fn a_moved_tile_gives_the_moved_picture() {
-    let reference = builtin("rocks", 64);
-    let material = &reference.surface().material;
-    let moved = Material {
-        height: HeightMap { values: rolled(64, &material.height.values), ..material.height },
-        base_colour: rolled_texture(&material.base_colour),
-        roughness: rolled_texture(&material.roughness),
-        ..material.clone()
-    };
+    let reference = open_builtin("rocks", 64);
+    let mut material = builtin::make("rocks", 64, 0).unwrap();
+    let Part::Solid(layer) = &mut material.parts[0] else { panic!("rocks are solid") };
+    layer.height.values = rolled(64, &layer.height.values);
+    layer.paint.base_colour = rolled_texture(&layer.paint.base_colour);
+    layer.paint.roughness = rolled_texture(&layer.paint.roughness);
+    let moved = material;
     let moved = Reference::new(moved, &ReferenceOptions::default()).unwrap();
     // Positions differ by exactly half a tile, so only rounding does: it may flip a shadow here and there.
     const FLIPPED: usize = 3;
@@ -494,7 +487,7 @@ fn same_bytes_on_any_number_of_threads() {
 
 #[test]
 fn odd_queries_have_answers() {
-    let reference = builtin("rocks", 32);
+    let reference = open_builtin("rocks", 32);
     let answer = |u, wi, wo, level| reference.evaluate(&one(u, wi, wo, level)).unwrap().pixels[0];
     let (u, w) = ([0.5, 0.25], [0.3, 0.1]);
     assert_eq!(answer(u, [1.0, 0.0], w, 0.0), [0.0; 3]);

@@ -7,6 +7,8 @@ mod evaluate;
 mod export;
 mod generate;
 mod info;
+mod look;
+mod surface;
 mod train;
 
 use crate::error::{Error, Result};
@@ -32,6 +34,8 @@ pub struct Cli {
 enum Command {
     /// The whole way on a built-in material in a few minutes, ending in report.html.
     Demo(demo::Demo),
+    /// Render a contact sheet of materials.
+    Look(look::Look),
     /// Render a dataset of a material.
     Generate(generate::Generate),
     /// Train a model on a dataset.
@@ -56,6 +60,7 @@ impl Cli {
         let console = console::Console::new(self.quiet);
         match self.command {
             Command::Demo(command) => command.run(&console),
+            Command::Look(command) => command.run(&console),
             Command::Generate(command) => command.run(&console),
             Command::Train(command) => command.run(&console),
             Command::Evaluate(command) => command.run(&console),

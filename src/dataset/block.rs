@@ -202,6 +202,7 @@ pub struct Block {
     layout: Layout,
     rgb: Vec<[f16; 3]>,
     noise: f32,
+    spp: Option<u32>,
 }
 
 impl Block {
@@ -220,7 +221,12 @@ impl Block {
         if !(noise.is_finite() && noise >= 0.0) {
             return Err(Error::config("block.noise", format!("{noise} is not a variance")));
         }
-        Ok(Self { layout, rgb, noise })
+        Ok(Self { layout, rgb, noise, spp: None })
+    }
+
+    /// The same with the number of sub-samples behind each answer, where that differs between blocks.
+    pub fn with_spp(self, spp: u32) -> Self {
+        Self { spp: Some(spp), ..self }
     }
 
     /// What is asked.
@@ -258,6 +264,11 @@ impl Block {
         self.noise
     }
 
+    /// Sub-samples behind each answer, where the block has its own number.
+    pub fn spp(&self) -> Option<u32> {
+        self.spp
+    }
+
     /// All samples as queries on a tile of \[H, W\] texels: a `side` x `side` grid.
     pub fn queries(&self, resolution: [usize; 2]) -> QueryBuffer {
         self.layout.queries(resolution)
@@ -289,7 +300,7 @@ impl Block {
             let start = y * self.side() + column * side;
             rgb.extend_from_slice(&self.rgb[start..start + side]);
         }
-        Self { layout: self.layout.piece(side, row, column, resolution), rgb, noise: self.noise }
+        Self { layout: self.layout.piece(side, row, column, resolution), rgb, noise: self.noise, spp: self.spp }
     }
 }
 

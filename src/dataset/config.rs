@@ -1,55 +1,9 @@
 //! What to generate.
 
+use super::{regime::Regime, scene::scenes, slices};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
-use std::{fmt, str::FromStr};
-
-/// Directions of the training data.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
-pub enum Regime {
-    /// A pair of directions a patch, positions and levels between the texels' too.
-    Scattered,
-    /// This many pairs, a full aligned image each, at every level.
-    Slices(usize),
-}
-
-impl fmt::Display for Regime {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Scattered => f.write_str("scattered"),
-            Self::Slices(pairs) => write!(f, "slices-{pairs}"),
-        }
-    }
-}
-
-impl FromStr for Regime {
-    type Err = Error;
-
-    fn from_str(text: &str) -> Result<Self> {
-        if text == "scattered" {
-            return Ok(Self::Scattered);
-        }
-        let pairs = text.strip_prefix("slices-").and_then(|n| n.parse().ok());
-        pairs
-            .map(Self::Slices)
-            .ok_or_else(|| Error::config("regime", format!("{text} is neither scattered nor slices-N")))
-    }
-}
-
-impl TryFrom<String> for Regime {
-    type Error = Error;
-
-    fn try_from(text: String) -> Result<Self> {
-        text.parse()
-    }
-}
-
-impl From<Regime> for String {
-    fn from(regime: Regime) -> Self {
-        regime.to_string()
-    }
-}
+use std::fmt;
 
 /// What to generate: everything that the bytes of a dataset depend on, besides the material.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -59,7 +13,8 @@ pub struct GenerateConfig {
     pub resolution: usize,
     /// Directions of the training data.
     pub regime: Regime,
-    /// Unique training samples, rounded up to whole blocks; `slices-N` follows from N instead.
+    /// Unique training samples: scattered ones are rounded up to whole blocks, `slices` takes as many pairs as they
+    /// pay for, and for `slices-N` they follow from N (see [`GenerateConfig::resolved`]).
     pub samples: u64,
     /// Samples of the validation split, rounded up to whole blocks; 0 leaves it out.
     pub validation_samples: u64,
@@ -78,10 +33,24 @@ pub struct GenerateConfig {
     pub block_side: usize,
     /// Samples of a file, which is what a killed run can lose; a file holds at least one block.
     pub file_samples: usize,
+    /// Directions \[tilt, pan\] of the views' lights in degrees: from the normal, and from x towards y.
+    #[serde(default = "neumip_lights")]
+    pub lights: Vec<[f32; 2]>,
     /// Sub-samples of a training sample.
     pub spp: usize,
     /// Sub-samples of every other sample.
     pub held_out_spp: usize,
+    /// The noise (square root of the mean variance) that a block's answers may have: more sub-samples are taken until
+    /// it holds.
+    #[serde(default)]
+    pub noise: Option<f32>,
+    /// Where `noise` is given, the most sub-samples of a sample.
+    #[serde(default = "most_spp")]
+    pub most_spp: usize,
+    /// Share of the directions of scattered and slice training data, and of validation, that is uniform in solid angle
+    /// down to 0.5 degrees above the horizon; the rest is uniform in the projected disc down to 5.7 degrees.
+    #[serde(default)]
+    pub grazing_floor: f32,
     /// Share of scattered blocks at a level between two integers.
     pub fractional_share: f32,
     /// Least share of the samples that a level gets; the rest goes to the levels in proportion to 4^-level.
@@ -94,8 +63,21 @@ pub struct GenerateConfig {
 
 /// A scattered split has at least so many blocks: a share of 5 % then has its block at every level.
 pub(crate) const MIN_BLOCKS: usize = 40;
+/// Most pairs of slices.
+const MAX_PAIRS: usize = 1 << 20;
+/// Most lights of views.
+const MAX_LIGHTS: usize = 64;
 /// Names of files have five digits.
 pub(crate) const MAX_FILES: usize = 100_000;
+
+/// The lights of NeuMIP's two scenes.
+fn neumip_lights() -> Vec<[f32; 2]> {
+    vec![[0.0, 0.0], [45.0, 30.0]]
+}
+
+fn most_spp() -> usize {
+    1024
+}
 
 impl GenerateConfig {
     /// The defaults for a tile: 200 scattered training samples a texel, 16 sub-samples (64 where held out),
@@ -112,10 +94,14 @@ impl GenerateConfig {
             test_pairs: 24,
             view_size: 256,
             view_tiles: 1,
+            lights: neumip_lights(),
             block_side: resolution.min(32),
             file_samples: 1 << 20,
             spp: 16,
             held_out_spp: 64,
+            noise: None,
+            most_spp: most_spp(),
+            grazing_floor: 0.1,
             fractional_share: 0.25,
             least_level_share: 0.05,
             seed: 0,
@@ -145,8 +131,8 @@ impl GenerateConfig {
         power("resolution", self.resolution)?;
         within("block_side", self.block_side, 2, self.resolution)?;
         power("block_side", self.block_side)?;
-        if let Regime::Slices(pairs) = self.regime {
-            within("regime (pairs of slices)", pairs, 2, 1 << 20)?;
+        if let Regime::Slices(pairs @ 1..) = self.regime {
+            within("regime (pairs of slices)", pairs, 2, MAX_PAIRS)?;
         }
         within("spp", self.spp, 1, 1 << 20)?;
         within("held_out_spp", self.held_out_spp, 1, 1 << 20)?;
@@ -158,8 +144,58 @@ impl GenerateConfig {
         within("view_size", self.view_size, 0, 8192)?;
         within("view_tiles", self.view_tiles, 1, 1024)?;
         within("file_samples", self.file_samples, 1, 1 << 25)?;
+        within("lights (number)", self.lights.len(), 0, MAX_LIGHTS)?;
+        scenes(&self.lights)?;
+        if let Some(noise) = self.noise {
+            within("noise", noise, f32::MIN_POSITIVE, f32::MAX)?;
+            within("most_spp", self.most_spp, self.spp.max(self.held_out_spp), 1 << 20)?;
+            // A single sub-sample does not tell its noise.
+            within("spp (with noise)", self.spp, 2, 1 << 20)?;
+            within("held_out_spp (with noise)", self.held_out_spp, 2, 1 << 20)?;
+        }
+        within("grazing_floor", self.grazing_floor, 0.0, 1.0)?;
         within("fractional_share", self.fractional_share, 0.0, 1.0)?;
         within("least_level_share", self.least_level_share, 0.0, 1.0 / self.levels() as f32)
+    }
+
+    /// The same with the number of pairs that `slices` has no number for, and with the samples that slices have.
+    /// `earlier` are the amounts (see [`GenerateConfig::amount`]) that were made before, one for each time that the
+    /// dataset was appended to.
+    ///
+    /// # Errors
+    /// `Config` if a bound does not hold, or if the samples do not pay for two pairs.
+    pub fn resolved(&self, earlier: &[u64]) -> Result<Self> {
+        self.validate()?;
+        let Regime::Slices(pairs) = self.regime else { return Ok(self.clone()) };
+        let mut start = 0;
+        let mut spent = 0;
+        for end in earlier {
+            spent += slices::samples(self, end.saturating_sub(start) as usize);
+            start = *end;
+        }
+        let pairs = match pairs {
+            0 => start as usize + slices::pairs_for(self, self.samples.saturating_sub(spent), MAX_PAIRS),
+            pairs => pairs,
+        };
+        if pairs < 2 {
+            let problem = format!(
+                "{} do not pay for two pairs of slices: those have {}",
+                self.samples,
+                slices::samples(self, 2)
+            );
+            return Err(Error::config("samples", problem));
+        }
+        let more = (pairs as u64).saturating_sub(start) as usize;
+        let samples = spent + if more > 0 { slices::samples(self, more) } else { 0 };
+        Ok(Self { regime: Regime::Slices(pairs), samples, ..self.clone() })
+    }
+
+    /// How much training data there is: samples where it is scattered, pairs of slices.
+    pub fn amount(&self) -> u64 {
+        match self.regime {
+            Regime::Scattered => self.samples,
+            Regime::Slices(pairs) => pairs as u64,
+        }
     }
 
     /// Levels of the tile: log2 of its side.

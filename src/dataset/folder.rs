@@ -3,6 +3,9 @@
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
+/// Longest description that is read, bytes.
+const MAX_DESCRIPTION: u64 = 1 << 28;
+
 /// Writes a file that is there whole or not at all; returns its length.
 pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<u64> {
     neumip_export::whole_file::write_whole(path, bytes)?;
@@ -21,6 +24,20 @@ pub(crate) fn check_bytes(path: &Path, bytes: u64) -> Result<()> {
         ));
     }
     Ok(())
+}
+
+/// Reads a description.
+pub(crate) fn read_json(path: &Path) -> Result<serde_json::Value> {
+    let failed = |problem: &dyn std::fmt::Display| Error::file(path, problem);
+    let bytes = match std::fs::metadata(path) {
+        Ok(data) => data.len(),
+        Err(e) => return Err(failed(&format!("cannot be read ({e}): is this a dataset folder?"))),
+    };
+    if bytes > MAX_DESCRIPTION {
+        return Err(failed(&format!("has {bytes} bytes, more than any dataset needs")));
+    }
+    let text = std::fs::read(path).map_err(|e| failed(&format!("cannot be read: {e}")))?;
+    serde_json::from_slice(&text).map_err(|e| failed(&format!("is not JSON: {e}")))
 }
 
 /// What is in a folder, sorted; nothing if there is no folder.

@@ -2,11 +2,13 @@
 //!
 //! The folder: `dataset.json`; `height.exr` (one f32 channel Y, tile widths) where heights are stored; for
 //! file 0 of split train `train-00000.exr` (half R, G, B: `grid.rs`) and `train-00000.safetensors`
-//! (`table.rs`); views as `views-NAME.exr` (`query_frame.rs`).
+//! (`table.rs`); views as `views-NAME.exr` (`query_frame.rs`); for people `contact-sheet.png`; and while shards are
+//! being made, what each of them has (`shard.rs`).
 
 use super::{
     block::{MAX_LEVEL, MAX_SIDE},
     config::{GenerateConfig, MAX_FILES},
+    folder::read_json,
     frame::MAX_PIXELS,
 };
 use crate::error::{Error, Result};
@@ -18,8 +20,6 @@ use std::{collections::BTreeMap, fmt, path::Path, str::FromStr};
 pub const FORMAT: u32 = 1;
 /// Name of the description inside the folder.
 pub const MANIFEST: &str = "dataset.json";
-/// Longest description that is read, bytes.
-const MAX_MANIFEST: u64 = 1 << 28;
 
 /// The parts of a dataset that are made of blocks. A name's place is also its stream of random numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -103,6 +103,42 @@ pub struct FileInfo {
     pub summary: Summary,
     /// Mean over the blocks of the square root of their mean variance.
     pub noise: f32,
+    /// Blocks whose noise stayed above the one that was asked for.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub noisy_blocks: usize,
+}
+
+impl FileInfo {
+    /// Checks every bound that later reading relies on: it is the `index`-th file of a split, with blocks of so many
+    /// samples.
+    pub(crate) fn validate(&self, split: SplitName, index: usize, samples: usize) -> Result<()> {
+        let field = format!("splits.{split}.files[{index}]");
+        let expected = file_name(split, index);
+        if self.name != expected {
+            return Err(Error::config(field, format!("is named {}, not {expected}", self.name)));
+        }
+        // A frame has room for unused cells, at most as many again.
+        within(format!("{field}.blocks"), self.blocks, 1, (MAX_PIXELS / 2 / samples).max(1))?;
+        within(format!("{field}.patches"), self.patches, self.blocks, self.blocks * samples)?;
+        let most = MAX_LEVEL as usize + 1;
+        within(format!("{field}.level_blocks length"), self.level_blocks.len(), 1, most)?;
+        let counted = self.level_blocks.iter().try_fold(0usize, |sum, n| sum.checked_add(*n));
+        if counted != Some(self.blocks) {
+            return Err(Error::config(format!("{field}.level_blocks"), "does not add up to the blocks"));
+        }
+        within(format!("{field}.noisy_blocks"), self.noisy_blocks, 0, self.blocks)
+    }
+}
+
+fn within(field: impl fmt::Display, value: usize, low: usize, high: usize) -> Result<()> {
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    Err(Error::config(field.to_string(), format!("{value} is outside {low} to {high}")))
+}
+
+fn is_zero(n: &usize) -> bool {
+    *n == 0
 }
 
 /// How far held-out pairs of directions are from the nearest training pair, degrees. The distance of two
@@ -131,6 +167,9 @@ pub struct SplitInfo {
     pub level_shares: Vec<f32>,
     /// Mean over the blocks of the square root of their mean variance.
     pub noise: f32,
+    /// Blocks whose noise stayed above the one that was asked for.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub noisy_blocks: usize,
     /// For held-out splits, once there are training directions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub nearest_training: Option<Distance>,
@@ -171,6 +210,16 @@ impl ViewInfo {
     pub fn file(&self) -> String {
         format!("views-{}.exr", self.name)
     }
+
+    /// Checks its name and size.
+    pub(crate) fn validate(&self) -> Result<()> {
+        let plain = |c: u8| c.is_ascii_lowercase() || c.is_ascii_digit() || c == b'-';
+        if self.name.is_empty() || self.name.len() > 64 || !self.name.bytes().all(plain) {
+            return Err(Error::config("views.name", "must be lower-case letters, digits and dashes"));
+        }
+        within(format_args!("views.{}.height", self.name), self.height, 1, MAX_SIDE)?;
+        within(format_args!("views.{}.width", self.name), self.width, 1, MAX_SIDE)
+    }
 }
 
 /// The height map in `height.exr`.
@@ -208,6 +257,9 @@ pub struct Manifest {
     /// What was generated; absent for imported data.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub generation: Option<GenerateConfig>,
+    /// Samples, or pairs of slices, of the training data before each time that it was appended to.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub appended_at: Vec<u64>,
     /// The stored height map.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub heights: Option<HeightInfo>,
@@ -235,6 +287,7 @@ impl Manifest {
             height_range,
             measure: Measure::RadianceCosine,
             generation: None,
+            appended_at: Vec::new(),
             heights: None,
             splits: BTreeMap::new(),
             views: Vec::new(),
@@ -245,16 +298,7 @@ impl Manifest {
     pub(crate) fn read(root: &Path) -> Result<Self> {
         let path = root.join(MANIFEST);
         let failed = |problem: &dyn fmt::Display| Error::file(&path, problem);
-        let bytes = match std::fs::metadata(&path) {
-            Ok(data) => data.len(),
-            Err(e) => return Err(failed(&format!("cannot be read ({e}): is this a dataset folder?"))),
-        };
-        if bytes > MAX_MANIFEST {
-            return Err(failed(&format!("has {bytes} bytes, more than any dataset needs")));
-        }
-        let text = std::fs::read(&path).map_err(|e| failed(&format!("cannot be read: {e}")))?;
-        let value: serde_json::Value =
-            serde_json::from_slice(&text).map_err(|e| failed(&format!("is not JSON: {e}")))?;
+        let value = read_json(&path)?;
         // The version comes first: another one may have other fields.
         match value.get("format").and_then(serde_json::Value::as_u64) {
             Some(version) if version == u64::from(FORMAT) => {}
@@ -280,12 +324,6 @@ impl Manifest {
     /// # Errors
     /// `Config`, naming the field.
     pub fn validate(&self) -> Result<()> {
-        fn within(field: impl fmt::Display, value: usize, low: usize, high: usize) -> Result<()> {
-            if (low..=high).contains(&value) {
-                return Ok(());
-            }
-            Err(Error::config(field.to_string(), format!("{value} is outside {low} to {high}")))
-        }
         within("resolution[0]", self.resolution[0], 1, MAX_SIDE)?;
         within("resolution[1]", self.resolution[1], 1, MAX_SIDE)?;
         let [low, high] = self.height_range;
@@ -294,7 +332,12 @@ impl Manifest {
         }
         if let Some(generation) = &self.generation {
             generation.validate()?;
+            let amounts: Vec<u64> = self.appended_at.iter().copied().chain([generation.amount()]).collect();
+            if !amounts.is_sorted_by(|a, b| a < b) {
+                return Err(Error::config("appended_at", "does not grow up to what was generated"));
+            }
         }
+        within("appended_at length", self.appended_at.len(), 0, MAX_FILES)?;
         if let Some(map) = &self.heights {
             within("heights.height", map.height, 1, MAX_SIDE)?;
             within("heights.width", map.width, 1, MAX_SIDE)?;
@@ -304,34 +347,11 @@ impl Manifest {
             let samples = split.side * split.side;
             within(format_args!("splits.{name}.files"), split.files.len(), 0, MAX_FILES)?;
             for (k, file) in split.files.iter().enumerate() {
-                let field = format!("splits.{name}.files[{k}]");
-                if file.name != file_name(*name, k) {
-                    return Err(Error::config(
-                        field,
-                        format!("is named {}, not {}", file.name, file_name(*name, k)),
-                    ));
-                }
-                // A frame has room for unused cells, at most as many again.
-                within(format!("{field}.blocks"), file.blocks, 1, (MAX_PIXELS / 2 / samples).max(1))?;
-                within(format!("{field}.patches"), file.patches, file.blocks, file.blocks * samples)?;
-                let most = MAX_LEVEL as usize + 1;
-                within(format!("{field}.level_blocks length"), file.level_blocks.len(), 1, most)?;
-                let counted = file.level_blocks.iter().try_fold(0usize, |sum, n| sum.checked_add(*n));
-                if counted != Some(file.blocks) {
-                    return Err(Error::config(
-                        format!("{field}.level_blocks"),
-                        "does not add up to the blocks",
-                    ));
-                }
+                file.validate(*name, k, samples)?;
             }
         }
         for view in &self.views {
-            let plain = |c: u8| c.is_ascii_lowercase() || c.is_ascii_digit() || c == b'-';
-            if view.name.is_empty() || view.name.len() > 64 || !view.name.bytes().all(plain) {
-                return Err(Error::config("views.name", "must be lower-case letters, digits and dashes"));
-            }
-            within(format_args!("views.{}.height", view.name), view.height, 1, MAX_SIDE)?;
-            within(format_args!("views.{}.width", view.name), view.width, 1, MAX_SIDE)?;
+            view.validate()?;
         }
         Ok(())
     }

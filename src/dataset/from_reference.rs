@@ -1,6 +1,6 @@
 //! The reference surface as a source of data.
 
-use super::source::Source;
+use super::source::{Answers, Source};
 use crate::error::Result;
 use crate::query::QueryBuffer;
 use crate::reference::{Reference, Sampling};
@@ -16,22 +16,22 @@ impl Source for Reference {
     }
 
     fn height_map(&self) -> Option<(usize, usize, Vec<f32>)> {
-        let map = self.height_map();
+        let map = self.height_map()?;
         Some((map.height, map.width, map.values))
     }
 
-    fn measure(
-        &self,
-        queries: &QueryBuffer,
-        spp: usize,
-        seed: u64,
-        first: u64,
-    ) -> Result<(Vec<[f32; 3]>, Vec<f32>)> {
+    fn measure(&self, queries: &QueryBuffer, spp: usize, seed: u64, first: u64) -> Result<Answers> {
         let measured = self.measure(queries, &Sampling { spp, seed, first })?;
-        Ok((measured.rgb.pixels, measured.variance))
+        Ok(Answers { rgb: measured.rgb.pixels, variance: measured.variance, rays: measured.rays })
     }
 
     fn description(&self) -> serde_json::Value {
-        json!({ "kind": "displaced-heightfield", "name": self.name(), "height_range": self.height_range() })
+        json!({
+            "kind": "reference",
+            "name": self.name(),
+            "height_range": self.height_range(),
+            "bounces": self.bounces(),
+            "fingerprint": self.fingerprint(),
+        })
     }
 }

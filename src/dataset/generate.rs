@@ -3,65 +3,36 @@
 use super::{
     block::{Block, Layout, stack},
     config::GenerateConfig,
-    format::Manifest,
+    format::{Manifest, SplitName},
+    measure::Task,
+    origin::earlier_amounts,
     plan::{Plan, plans},
+    progress::{Meter, Progress},
     query_frame::to_half,
-    scene::SCENES,
+    scene::{Scene, scenes},
+    shard::{Shard, ShardWriter},
     source::Source,
     write::{Existing, Writer},
 };
 use crate::{
-    error::{Error, Result},
+    error::Result,
     query::{QueryBuffer, RgbImage},
 };
 use std::{ops::ControlFlow, path::Path};
 
-/// Samples that are measured at a time: the longest wait between two calls of the progress callback.
-const CHUNK: usize = 1 << 16;
 /// Numbers of a split's samples start here times its place; views follow the splits.
 const SAMPLES_OF_A_SPLIT: u64 = 1 << 48;
 /// The first place after the splits.
 const FIRST_VIEW: u64 = 8;
 
-/// How far a generation is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Progress {
-    /// Split (or `views`) that is being made.
-    pub split: &'static str,
-    /// Samples of the whole dataset that are done.
-    pub done: u64,
-    /// Samples of the whole dataset.
-    pub total: u64,
-}
-
-/// Counts samples and hears when to stop.
-struct Meter<'a> {
-    report: &'a mut dyn FnMut(Progress) -> ControlFlow<()>,
-    now: Progress,
-    stopped: bool,
-}
-
-impl Meter<'_> {
-    fn advance(&mut self, samples: usize) {
-        self.now.done += samples as u64;
-        self.stopped |= (self.report)(self.now).is_break();
-    }
-
-    /// The error that ends a stopped run.
-    fn check(&self) -> Result<()> {
-        if !self.stopped {
-            return Ok(());
-        }
-        let Progress { done, total, .. } = self.now;
-        Err(Error::Interrupted(format!("{done} of {total} samples were made; resume to make the rest")))
-    }
-}
-
 /// Renders a dataset of `source` into the folder `out` and returns its description.
 ///
 /// The bytes of every file depend on the source, the configuration and the file's place only: a run that was
-/// stopped and resumed ends with the same folder as one that was not. One file's samples are held in memory
-/// at a time.
+/// stopped and resumed, or was made by shards, ends with the same folder as one that was not. One file's samples are
+/// held in memory at a time.
+///
+/// With [`Existing::Append`] a finished dataset gets more training data, up to what `config` asks for: its files stay
+/// as they are, and the new ones go on in the same sequences.
 ///
 /// `progress` is called after every chunk of samples; when it breaks, the work ends with `Interrupted` and
 /// the files that are whole form a valid dataset.
@@ -75,144 +46,241 @@ pub fn generate(
     existing: Existing,
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<Manifest> {
-    let plans = plans(config)?;
-    let resolution = [config.resolution; 2];
-    let mut manifest = Manifest::new(source.name(), source.description(), resolution, source.height_range());
-    manifest.generation = Some(config.clone());
-    let mut writer = Writer::create(out, manifest, existing)?;
+    config.validate()?;
+    let earlier = earlier_amounts(out, config, existing)?;
+    let work = Work::new(source, config, &earlier)?;
+    let mut writer = Writer::create(out, work.manifest(earlier), existing)?;
     if writer.manifest().complete {
+        writer.forget_shards()?;
         return Ok(writer.manifest().clone());
     }
-    for plan in &plans {
-        writer.plan_split(plan.name, plan.side, plan.blocks, Some(plan.spp))?;
+    for plan in &work.plans {
+        writer.plan_split(plan.name, plan.side, plan.blocks(), Some(plan.spp))?;
     }
-    if config.heights
-        && writer.manifest().heights.is_none()
-        && let Some((height, width, values)) = source.height_map()
-    {
-        writer.set_heights(height, width, values)?;
+    let total = work.items().map(|item| work.samples(item)).sum();
+    let mut meter = Meter::new(progress, writer.samples(), total);
+    for item in work.items() {
+        work.make(item, &mut writer, &mut meter)?;
     }
-
-    let of_view = (config.view_size * config.view_size) as u64;
-    let views = if of_view > 0 { SCENES.len() } else { 0 };
-    let blocks: u64 = plans.iter().map(|plan| (plan.blocks * plan.side * plan.side) as u64).sum();
-    let made = writer.manifest();
-    let done = made.splits.values().map(|s| s.samples()).sum::<u64>() + made.views.len() as u64 * of_view;
-    let now = Progress { split: "views", done, total: blocks + views as u64 * of_view };
-    let mut meter = Meter { report: progress, now, stopped: false };
-
-    let (training, held_out) =
-        plans.split_last().ok_or_else(|| Error::usage("there is nothing to generate"))?;
-    for plan in held_out {
-        make_split(source, config, plan, &mut writer, &mut meter)?;
-    }
-    meter.now.split = "views";
-    for (index, scene) in SCENES.iter().enumerate().take(views).skip(writer.manifest().views.len()) {
-        let queries = scene.queries(config.view_size, config.view_tiles, resolution);
-        let mut pixels = Vec::with_capacity(queries.len());
-        let mut variance = 0.0;
-        for start in (0..queries.len()).step_by(CHUNK) {
-            let part = queries.range(start, (start + CHUNK).min(queries.len()));
-            let first = (FIRST_VIEW + index as u64) * SAMPLES_OF_A_SPLIT + start as u64;
-            let (rgb, noise) = measure(source, &part, config.held_out_spp, config.seed, first)?;
-            pixels.extend(rgb);
-            variance += noise.iter().map(|v| f64::from(*v)).sum::<f64>();
-            meter.advance(part.len());
-            if pixels.len() < queries.len() {
-                meter.check()?;
-            }
-        }
-        let rgb = RgbImage { height: queries.height(), width: queries.width(), pixels };
-        let variance = (variance / queries.len() as f64) as f32;
-        writer.push_view(scene.name, &queries, &rgb, variance)?;
-        meter.check()?;
-    }
-    make_split(source, config, training, &mut writer, &mut meter)?;
     writer.finish()
 }
 
-/// Makes the files of a split that are not there yet.
-fn make_split(
+/// Makes a shard's share of the files of a dataset in the folder `out`; see [`Shard`]. Once every shard is in one
+/// folder, [`generate`] with [`Existing::Resume`] makes a dataset of them.
+///
+/// # Errors
+/// As [`generate`]; `Usage` for [`Existing::Append`].
+pub fn generate_shard(
     source: &dyn Source,
     config: &GenerateConfig,
-    plan: &Plan,
-    writer: &mut Writer,
-    meter: &mut Meter,
+    shard: Shard,
+    out: &Path,
+    existing: Existing,
+    progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<()> {
-    meter.now.split = plan.name.as_str();
-    let made = writer.manifest().splits.get(&plan.name).map_or(0, |split| split.files.len());
-    for file in made..plan.files() {
-        let blocks = plan.blocks_of(file);
-        let first = plan.name as u64 * SAMPLES_OF_A_SPLIT + (blocks.start * plan.side * plan.side) as u64;
-        let layouts = blocks.map(|index| plan.layout(index)).collect::<Result<Vec<_>>>()?;
-        writer.push(plan.name, &measure_blocks(source, config, plan, layouts, first, meter)?)?;
-        meter.check()?;
+    let work = Work::new(source, config, &[])?;
+    let mut writer = ShardWriter::create(out, work.manifest(Vec::new()), shard, existing)?;
+    let own = || work.items().enumerate().filter(|(k, _)| shard.takes(*k)).map(|(_, item)| item);
+    let total = own().map(|item| work.samples(item)).sum();
+    let mut done = 0;
+    for item in own() {
+        done += if writer.has(&work, item)? { work.samples(item) } else { 0 };
     }
-    Ok(())
+    let mut meter = Meter::new(progress, done, total);
+    own().try_for_each(|item| work.make(item, &mut writer, &mut meter))
 }
 
-/// Answers of all blocks of a file, chunk by chunk.
-fn measure_blocks(
-    source: &dyn Source,
-    config: &GenerateConfig,
-    plan: &Plan,
-    layouts: Vec<Layout>,
-    first: u64,
-    meter: &mut Meter,
-) -> Result<Vec<Block>> {
-    let side = plan.side;
-    let (rows, samples) = (layouts.len() * side, side * side);
-    let chunk = (CHUNK / side).max(1);
-    let mut rgb = Vec::with_capacity(rows * side);
-    let mut variance = vec![0.0f64; layouts.len()];
-    for start in (0..rows).step_by(chunk) {
-        let end = (start + chunk).min(rows);
-        let lines = (start..end).map(|row| (&layouts[row / side], row % side));
-        let queries = stack(lines, side, [config.resolution; 2]);
-        let offset = start * side;
-        let (answers, noise) = measure(source, &queries, plan.spp, config.seed, first + offset as u64)?;
-        for (k, value) in noise.iter().enumerate() {
-            variance[(offset + k) / samples] += f64::from(*value);
-        }
-        rgb.extend(answers.iter().map(|pixel| pixel.map(to_half)));
-        meter.advance(queries.len());
-        // The last chunk is kept even if it is time to stop.
-        if end < rows {
-            meter.check()?;
-        }
-    }
-    let answers = layouts.into_iter().zip(rgb.chunks_exact(samples)).zip(variance);
-    answers
-        .map(|((layout, rgb), variance)| Block::new(layout, rgb.to_vec(), (variance / samples as f64) as f32))
-        .collect()
+/// One file of a dataset.
+#[derive(Clone, Copy, Debug)]
+enum Item {
+    Heights,
+    /// A file of the plan at a place.
+    File(usize, usize),
+    /// The view of the scene at a place.
+    View(usize),
 }
 
-/// Asks the source and checks what it says.
-fn measure(
-    source: &dyn Source,
-    queries: &QueryBuffer,
-    spp: usize,
-    seed: u64,
-    first: u64,
-) -> Result<(Vec<[f32; 3]>, Vec<f32>)> {
-    let material = || format!("material {}", source.name());
-    let (rgb, variance) = source.measure(queries, spp, seed, first)?;
-    if rgb.len() != queries.len() || variance.len() != queries.len() {
-        return Err(Error::config(
-            material(),
-            format!("answered {} of {} queries", rgb.len(), queries.len()),
-        ));
+/// Where files go.
+trait Sink {
+    /// True if the file is there.
+    fn has(&mut self, work: &Work, item: Item) -> Result<bool>;
+    fn heights(&mut self, height: usize, width: usize, values: Vec<f32>) -> Result<()>;
+    fn file(&mut self, name: SplitName, index: usize, side: usize, blocks: &[Block]) -> Result<()>;
+    fn view(&mut self, name: &str, queries: &QueryBuffer, rgb: &RgbImage, variance: f32) -> Result<()>;
+}
+
+/// Everything that is to be made.
+struct Work<'a> {
+    source: &'a dyn Source,
+    config: GenerateConfig,
+    plans: Vec<Plan>,
+    scenes: Vec<Scene>,
+}
+
+impl<'a> Work<'a> {
+    fn new(source: &'a dyn Source, config: &GenerateConfig, earlier: &[u64]) -> Result<Self> {
+        let config = config.resolved(earlier)?;
+        let plans = plans(&config, earlier)?;
+        let scenes = if config.view_size > 0 { scenes(&config.lights)? } else { Vec::new() };
+        Ok(Self { source, config, plans, scenes })
     }
-    let sound =
-        |k: &usize| rgb[*k].iter().all(|v| v.is_finite()) && variance[*k].is_finite() && variance[*k] >= 0.0;
-    match (0..rgb.len()).find(|k| !sound(k)) {
-        Some(k) => Err(Error::config(
-            material(),
-            format!(
-                "gives {:?} with variance {} for u {:?}, wi {:?}, wo {:?}, level {}",
-                rgb[k], variance[k], queries.u[k], queries.wi[k], queries.wo[k], queries.level[k]
-            ),
-        )),
-        None => Ok((rgb, variance)),
+
+    fn manifest(&self, earlier: Vec<u64>) -> Manifest {
+        let source = self.source;
+        let resolution = [self.config.resolution; 2];
+        let mut manifest =
+            Manifest::new(source.name(), source.description(), resolution, source.height_range());
+        manifest.generation = Some(self.config.clone());
+        manifest.appended_at = earlier;
+        manifest
+    }
+
+    /// All files in the order in which they are made: training data, the last plan, comes last.
+    fn items(&self) -> impl Iterator<Item = Item> {
+        let files = |plan: usize| (0..self.plans[plan].files()).map(move |file| Item::File(plan, file));
+        let heights = self.config.heights.then_some(Item::Heights);
+        let training = self.plans.len().saturating_sub(1);
+        heights
+            .into_iter()
+            .chain((0..training).flat_map(files))
+            .chain((0..self.scenes.len()).map(Item::View))
+            .chain((training..self.plans.len()).flat_map(files))
+    }
+
+    fn samples(&self, item: Item) -> u64 {
+        match item {
+            Item::Heights => 0,
+            Item::File(plan, file) => {
+                let plan = &self.plans[plan];
+                (plan.blocks_of(file).len() * plan.side * plan.side) as u64
+            }
+            Item::View(_) => (self.config.view_size * self.config.view_size) as u64,
+        }
+    }
+
+    /// Makes a file if it is not there yet.
+    fn make(&self, item: Item, sink: &mut dyn Sink, meter: &mut Meter) -> Result<()> {
+        if sink.has(self, item)? {
+            return Ok(());
+        }
+        match item {
+            Item::Heights => {
+                return match self.source.height_map() {
+                    Some((height, width, values)) => sink.heights(height, width, values),
+                    None => Ok(()),
+                };
+            }
+            Item::File(plan, file) => {
+                let plan = &self.plans[plan];
+                meter.enter(plan.name.as_str());
+                sink.file(plan.name, file, plan.side, &self.blocks(plan, file, meter)?)?;
+            }
+            Item::View(index) => {
+                meter.enter("views");
+                let (queries, rgb, variance) = self.view(index, meter)?;
+                sink.view(&self.scenes[index].name, &queries, &rgb, variance)?;
+            }
+        }
+        meter.check()
+    }
+
+    /// The blocks of a file with their answers.
+    fn blocks(&self, plan: &Plan, file: usize, meter: &mut Meter) -> Result<Vec<Block>> {
+        let (side, blocks) = (plan.side, plan.blocks_of(file));
+        let samples = side * side;
+        let task = Task {
+            source: self.source,
+            config: &self.config,
+            spp: plan.spp,
+            first: plan.name as u64 * SAMPLES_OF_A_SPLIT + (blocks.start * samples) as u64,
+            width: side,
+            lines: side,
+            groups: blocks.len(),
+        };
+        let layouts = blocks.map(|index| plan.layout(index)).collect::<Result<Vec<Layout>>>()?;
+        let queries = |rows: std::ops::Range<usize>| {
+            stack(rows.map(|row| (&layouts[row / side], row % side)), side, [self.config.resolution; 2])
+        };
+        let (rgb, quality) = task.run(&queries, meter)?;
+        let answers = layouts.iter().zip(rgb.chunks_exact(samples)).zip(quality);
+        answers
+            .map(|((layout, rgb), quality)| {
+                let rgb = rgb.iter().map(|pixel| pixel.map(to_half)).collect();
+                let block = Block::new(layout.clone(), rgb, quality.variance as f32)?;
+                // Where the noise was given, sub-samples are the block's own.
+                let own = self.config.noise.and(u32::try_from(quality.spp).ok());
+                Ok(own.map_or(block.clone(), |spp| block.with_spp(spp)))
+            })
+            .collect()
+    }
+
+    /// The queries of a view, their answers and the mean variance of those.
+    fn view(&self, index: usize, meter: &mut Meter) -> Result<(QueryBuffer, RgbImage, f32)> {
+        let size = self.config.view_size;
+        let resolution = [self.config.resolution; 2];
+        let queries = self.scenes[index].queries(size, self.config.view_tiles, resolution);
+        let task = Task {
+            source: self.source,
+            config: &self.config,
+            spp: self.config.held_out_spp,
+            first: (FIRST_VIEW + index as u64) * SAMPLES_OF_A_SPLIT,
+            width: size,
+            lines: 1,
+            groups: size,
+        };
+        let part = |rows: std::ops::Range<usize>| queries.range(rows.start * size, rows.end * size);
+        let (pixels, quality) = task.run(&part, meter)?;
+        let variance = quality.iter().map(|line| line.variance).sum::<f64>() / size as f64;
+        Ok((queries.clone(), RgbImage { height: size, width: size, pixels }, variance as f32))
+    }
+}
+
+impl Sink for Writer {
+    fn has(&mut self, work: &Work, item: Item) -> Result<bool> {
+        match item {
+            Item::Heights => Ok(self.manifest().heights.is_some() || self.adopt_heights()?),
+            Item::File(plan, file) => {
+                let name = work.plans[plan].name;
+                let made = self.manifest().splits.get(&name).map_or(0, |split| split.files.len());
+                Ok(file < made || self.adopt(name)?)
+            }
+            Item::View(index) => {
+                Ok(index < self.manifest().views.len() || self.adopt_view(&work.scenes[index].name)?)
+            }
+        }
+    }
+
+    fn heights(&mut self, height: usize, width: usize, values: Vec<f32>) -> Result<()> {
+        self.set_heights(height, width, values)
+    }
+
+    fn file(&mut self, name: SplitName, _: usize, _: usize, blocks: &[Block]) -> Result<()> {
+        self.push(name, blocks)
+    }
+
+    fn view(&mut self, name: &str, queries: &QueryBuffer, rgb: &RgbImage, variance: f32) -> Result<()> {
+        self.push_view(name, queries, rgb, variance)
+    }
+}
+
+impl Sink for ShardWriter {
+    fn has(&mut self, work: &Work, item: Item) -> Result<bool> {
+        Ok(match item {
+            Item::Heights => self.has_heights(),
+            Item::File(plan, file) => self.has_file(work.plans[plan].name, file),
+            Item::View(index) => self.has_view(&work.scenes[index].name),
+        })
+    }
+
+    fn heights(&mut self, height: usize, width: usize, values: Vec<f32>) -> Result<()> {
+        self.put_heights(height, width, values)
+    }
+
+    fn file(&mut self, name: SplitName, index: usize, side: usize, blocks: &[Block]) -> Result<()> {
+        self.put_file(name, index, side, blocks)
+    }
+
+    fn view(&mut self, name: &str, queries: &QueryBuffer, rgb: &RgbImage, variance: f32) -> Result<()> {
+        self.put_view(name, queries, rgb, variance)
     }
 }

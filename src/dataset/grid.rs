@@ -1,8 +1,9 @@
 //! Many blocks in one frame: ceil(sqrt(n)) to a row, unused cells black.
 
 use super::{
-    block::{Block, Layout},
+    block::Block,
     frame::{Plane, read_frame, write_frame},
+    table::Row,
 };
 use crate::error::{Error, Result};
 use half::f16;
@@ -52,24 +53,29 @@ pub(crate) fn write_grid(path: &Path, side: usize, blocks: &[Block]) -> Result<u
     write_frame(path, [height, width], vec![("R", plane(0)), ("G", plane(1)), ("B", plane(2))])
 }
 
-/// Reads the answers of the blocks that `layouts` (with the mean variance of each) describe.
+/// Reads the answers of the blocks that the rows of their table describe.
 ///
 /// # Errors
 /// `File` if it is no frame of half floats of the size that follows, or a value is not finite.
-pub(crate) fn read_grid(path: &Path, side: usize, layouts: Vec<(Layout, f32)>) -> Result<Vec<Block>> {
-    let grid = Grid::new(side, layouts.len());
+pub(crate) fn read_grid(path: &Path, side: usize, rows: Vec<Row>) -> Result<Vec<Block>> {
+    let grid = Grid::new(side, rows.len());
     let (_, planes) = read_frame(path, Some(grid.size()), &["R", "G", "B"])?;
     let [Plane::Half(r), Plane::Half(g), Plane::Half(b)] = planes.as_slice() else {
         return Err(Error::file(path, "does not hold half floats"));
     };
-    let blocks = layouts.into_iter().enumerate().map(|(index, (layout, noise))| {
+    let blocks = rows.into_iter().enumerate().map(|(index, Row { layout, noise, spp })| {
         let mut rgb: Vec<[f16; 3]> = Vec::with_capacity(side * side);
         for row in 0..side {
             let line = grid.line(index, row);
             let pixels = r[line.clone()].iter().zip(&g[line.clone()]).zip(&b[line]);
             rgb.extend(pixels.map(|((r, g), b)| [*r, *g, *b]));
         }
-        Block::new(layout, rgb, noise).map_err(|e| Error::file(path, format!("block {index}: {e}")))
+        let block =
+            Block::new(layout, rgb, noise).map_err(|e| Error::file(path, format!("block {index}: {e}")))?;
+        Ok(match spp {
+            Some(spp) => block.with_spp(spp),
+            None => block,
+        })
     });
     blocks.collect()
 }

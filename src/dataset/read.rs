@@ -1,14 +1,14 @@
 //! Opening a dataset folder: everything is checked before anything is believed.
 
 use super::{
-    block::{Block, Layout},
+    block::Block,
+    files::HEIGHTS,
     folder::check_bytes,
     format::{MANIFEST, Manifest, SplitInfo, SplitName},
     frame::{Plane, read_frame},
     grid::read_grid,
     query_frame::read_query_frame_of,
-    table::read_table,
-    write::HEIGHTS,
+    table::{Row, read_table},
 };
 use crate::{
     error::{Error, Result},
@@ -26,6 +26,11 @@ pub struct Dataset {
 }
 
 impl Dataset {
+    /// A dataset that was just written.
+    pub(crate) fn written(root: &Path, manifest: &Manifest) -> Self {
+        Self { root: root.into(), manifest: manifest.clone() }
+    }
+
     /// Opens a folder and checks its description, the length of every file and every table. Frames are
     /// decoded, and their values checked, when they are read.
     ///
@@ -48,7 +53,7 @@ impl Dataset {
                 .into_par_iter()
                 .map(|file| {
                     check_bytes(&split.path(file, "exr"), info.files[file].frame_bytes)?;
-                    Ok(first_pair(&split.read_layouts(file)?))
+                    Ok(first_pair(&split.read_rows(file)?))
                 })
                 .collect::<Result<Vec<_>>>()?;
             if *name == SplitName::Train {
@@ -175,8 +180,8 @@ impl Split {
         self.root.join(format!("{}.{ending}", self.info.files[file].name))
     }
 
-    /// What is asked in the blocks of a file, with the mean variance of each.
-    pub(crate) fn read_layouts(&self, file: usize) -> Result<Vec<(Layout, f32)>> {
+    /// What is asked in the blocks of a file, and how noisy each of them is.
+    pub(crate) fn read_rows(&self, file: usize) -> Result<Vec<Row>> {
         let info = &self.info.files[file];
         read_table(
             &self.path(file, "safetensors"),
@@ -200,15 +205,15 @@ impl Split {
             )));
         };
         let (side, path) = (self.info.side, self.path(file, "exr"));
-        let layouts = self.read_layouts(file)?;
+        let rows = self.read_rows(file)?;
         check_bytes(&path, info.frame_bytes)?;
-        read_grid(&path, side, layouts)
+        read_grid(&path, side, rows)
     }
 }
 
 /// The first pair of directions of a file, and whether it is the only one.
-fn first_pair(layouts: &[(Layout, f32)]) -> (Option<[[f32; 2]; 2]>, bool) {
-    let mut pairs = layouts.iter().flat_map(|(layout, _)| layout.patches()).map(|p| [p.wi, p.wo]);
+fn first_pair(rows: &[Row]) -> (Option<[[f32; 2]; 2]>, bool) {
+    let mut pairs = rows.iter().flat_map(|row| row.layout.patches()).map(|p| [p.wi, p.wo]);
     let first = pairs.next();
     (first, pairs.all(|pair| Some(pair) == first))
 }

@@ -4,8 +4,11 @@
 //! looks at the origin from distance 2.3, tilted 45 degrees from the normal towards -y, field of view 45
 //! degrees, square pixels.
 
-use crate::query::QueryBuffer;
-use std::f64::consts::FRAC_PI_4;
+use crate::{
+    error::{Error, Result},
+    query::QueryBuffer,
+};
+use std::{borrow::Cow, f64::consts::FRAC_PI_4};
 
 /// Distance of the camera from the origin.
 const DISTANCE: f64 = 2.3;
@@ -15,21 +18,51 @@ const TILT: f64 = FRAC_PI_4;
 const FIELD_OF_VIEW: f64 = FRAC_PI_4;
 
 /// A scene: a light over the plane.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
-    /// Name, as in NeuMIP's data.
-    pub name: &'static str,
+    /// Name: NeuMIP's where the light is, `light-TILT-PAN` elsewhere, with a p for the point of a fraction.
+    pub name: Cow<'static, str>,
     /// Angle of the light from the normal, degrees.
     pub tilt: f64,
     /// Azimuth of the light from x towards y, degrees.
     pub pan: f64,
 }
 
-/// Light along the normal, and light tilted by 45 and panned by 30 degrees.
-pub const SCENES: [Scene; 2] =
-    [Scene { name: "s2", tilt: 0.0, pan: 0.0 }, Scene { name: "s4", tilt: 45.0, pan: 30.0 }];
+/// NeuMIP's: light along the normal, and light tilted by 45 and panned by 30 degrees.
+pub const SCENES: [Scene; 2] = [
+    Scene { name: Cow::Borrowed("s2"), tilt: 0.0, pan: 0.0 },
+    Scene { name: Cow::Borrowed("s4"), tilt: 45.0, pan: 30.0 },
+];
+
+/// The scenes of lights \[tilt, pan\] in degrees.
+pub(crate) fn scenes(lights: &[[f32; 2]]) -> Result<Vec<Scene>> {
+    let mut all: Vec<Scene> = Vec::with_capacity(lights.len());
+    for (k, [tilt, pan]) in lights.iter().enumerate() {
+        let wrong = |problem: String| Error::config(format!("lights[{k}]"), problem);
+        if !(0.0..90.0).contains(tilt) || !(0.0..=360.0).contains(pan) {
+            let problem = "tilt is from 0 to below 90 degrees, pan from 0 to 360";
+            return Err(wrong(format!("is tilted by {tilt} and panned by {pan}: {problem}")));
+        }
+        let scene = Scene::new(f64::from(*tilt), f64::from(*pan));
+        if all.iter().any(|other| other.name == scene.name) {
+            return Err(wrong(format!("is there twice: {}", scene.name)));
+        }
+        all.push(scene);
+    }
+    Ok(all)
+}
 
 impl Scene {
+    /// The scene of a light.
+    pub fn new(tilt: f64, pan: f64) -> Self {
+        let known = SCENES.into_iter().find(|scene| scene.tilt == tilt && scene.pan == pan);
+        known.unwrap_or_else(|| {
+            // Names are lower-case letters, digits and dashes.
+            let name = format!("light-{tilt}-{pan}").replace('.', "p");
+            Self { name: Cow::Owned(name), tilt, pan }
+        })
+    }
+
     /// The queries of a picture of `size` x `size` pixels of a tile with \[H, W\] texels.
     ///
     /// A pixel's level is log2 of the square root of its footprint's area in texels, from 0 to the tile's
@@ -74,6 +107,17 @@ impl Scene {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lights_have_names() {
+        let lights = [[0.0, 0.0], [45.0, 30.0], [60.0, 210.0], [22.5, 0.0], [45.0, 0.0]];
+        let names: Vec<_> = scenes(&lights).unwrap().into_iter().map(|scene| scene.name).collect();
+        assert_eq!(names, ["s2", "s4", "light-60-210", "light-22p5-0", "light-45-0"]);
+        for wrong in [[90.0, 0.0], [-1.0, 0.0], [f32::NAN, 0.0], [0.0, 361.0], [45.0, 30.0]] {
+            let error = scenes(&[[45.0, 30.0], wrong]).unwrap_err().to_string();
+            assert!(error.starts_with("lights[1]"), "{error}");
+        }
+    }
 
     /// Half a pixel at the picture's centre, where the ray is not exactly the axis.
     const HALF_PIXEL: f32 = 0.01;

@@ -111,7 +111,7 @@ impl Stream {
         let split = dataset.split(split)?;
         let side = split.info().side;
         (0..split.files()).into_par_iter().try_for_each(|file| {
-            split.read_layouts(file)?.iter().try_for_each(|(layout, _)| layout.check_cut(piece_side))
+            split.read_rows(file)?.iter().try_for_each(|row| row.layout.check_cut(piece_side))
         })?;
         let most = MAX_PIXELS / (piece_side * piece_side);
         if !(1..=most).contains(&batch_pieces) {

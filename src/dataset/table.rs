@@ -1,27 +1,37 @@
 //! The safetensors file beside each frame: where the samples of its blocks lie and which way they look.
 //!
 //! Per block (n of them) `level` f32, `patch` u32 (side of its patches), `noise` f32 (mean variance), `first`
-//! u32 (row of its first patch in the tables below); per patch (k of them) `wi`, `wo`, `corner` f32 \[k, 2\].
+//! u32 (row of its first patch in the tables below), and where it was chosen by the block `spp` u32 (sub-samples); per patch (k of them) `wi`, `wo`, `corner` f32 \[k, 2\].
 
 use super::{
-    block::{Layout, MAX_SIDE, Patch},
+    block::{Block, Layout, MAX_SIDE, Patch},
     folder::{check_bytes, write_whole},
 };
 use crate::error::{Error, Result};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use std::path::Path;
 
-/// Room for the header, far above the seven entries that it has.
+/// Room for the header, far above the eight entries that it has.
 const HEADER_BYTES: u64 = 4096;
 
-/// Writes the table; returns the bytes written.
-pub(crate) fn write_table(path: &Path, layouts: &[&Layout], noise: &[f32]) -> Result<u64> {
+/// What a table says of a block.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Row {
+    pub(crate) layout: Layout,
+    /// Mean variance of its samples.
+    pub(crate) noise: f32,
+    /// Sub-samples of each sample, where the block has its own number.
+    pub(crate) spp: Option<u32>,
+}
+
+/// Writes the table of blocks; returns the bytes written.
+pub(crate) fn write_table(path: &Path, blocks: &[Block]) -> Result<u64> {
     let mut level = Vec::new();
     let mut side = Vec::new();
     let mut first = Vec::new();
     let mut vectors: [Vec<u8>; 3] = Default::default();
     let mut patches = 0u32;
-    for layout in layouts {
+    for layout in blocks.iter().map(Block::layout) {
         level.extend(layout.level().to_le_bytes());
         side.extend((layout.patch() as u32).to_le_bytes());
         first.extend(patches.to_le_bytes());
@@ -33,8 +43,10 @@ pub(crate) fn write_table(path: &Path, layouts: &[&Layout], noise: &[f32]) -> Re
             }
         }
     }
-    let noise: Vec<u8> = noise.iter().flat_map(|v| v.to_le_bytes()).collect();
-    let (n, k) = (vec![layouts.len()], vec![patches as usize, 2]);
+    let noise: Vec<u8> = blocks.iter().flat_map(|block| block.noise().to_le_bytes()).collect();
+    let spp = blocks.iter().map(|block| block.spp().map(u32::to_le_bytes)).collect::<Option<Vec<_>>>();
+    let spp = spp.map(|spp| spp.into_flattened());
+    let (n, k) = (vec![blocks.len()], vec![patches as usize, 2]);
     let failed = |e: &dyn std::fmt::Display| Error::file(path, format!("cannot be written: {e}"));
     let tensors = [
         ("level", Dtype::F32, &n, &level),
@@ -46,6 +58,7 @@ pub(crate) fn write_table(path: &Path, layouts: &[&Layout], noise: &[f32]) -> Re
         ("corner", Dtype::F32, &k, &vectors[2]),
     ]
     .into_iter()
+    .chain(spp.as_ref().map(|spp| ("spp", Dtype::U32, &n, spp)))
     .map(|(name, dtype, shape, data)| Ok((name, TensorView::new(dtype, shape.clone(), data)?)))
     .collect::<std::result::Result<Vec<_>, safetensors::SafeTensorError>>()
     .map_err(|e| failed(&e))?;
@@ -53,7 +66,7 @@ pub(crate) fn write_table(path: &Path, layouts: &[&Layout], noise: &[f32]) -> Re
     write_whole(path, &bytes)
 }
 
-/// Reads the layouts and noise of `blocks` blocks of side `side` with `patches` patches in all.
+/// Reads the rows of `blocks` blocks of side `side` with `patches` patches in all.
 ///
 /// # Errors
 /// `File` if the file is not `bytes` long or is not that table.
@@ -63,10 +76,10 @@ pub(crate) fn read_table(
     side: usize,
     blocks: usize,
     patches: usize,
-) -> Result<Vec<(Layout, f32)>> {
+) -> Result<Vec<Row>> {
     let wrong = |problem: &dyn std::fmt::Display| Error::file(path, problem);
     check_bytes(path, bytes)?;
-    if bytes > 16 * blocks as u64 + 24 * patches as u64 + HEADER_BYTES {
+    if bytes > 20 * blocks as u64 + 24 * patches as u64 + HEADER_BYTES {
         return Err(wrong(&format!("is too long for {blocks} blocks with {patches} patches")));
     }
     let data = std::fs::read(path).map_err(|e| wrong(&format!("cannot be read: {e}")))?;
@@ -97,6 +110,8 @@ pub(crate) fn read_table(
     let noise = words("noise", Dtype::F32, &[blocks])?;
     let first = words("first", Dtype::U32, &[blocks])?;
     let (wi, wo, corner) = (vectors("wi")?, vectors("wo")?, vectors("corner")?);
+    let spp =
+        if tensors.tensor("spp").is_ok() { Some(words("spp", Dtype::U32, &[blocks])?) } else { None };
 
     let mut start = 0;
     let mut out = Vec::with_capacity(blocks);
@@ -118,7 +133,8 @@ pub(crate) fn read_table(
         if !(noise.is_finite() && noise >= 0.0) {
             return Err(wrong(&format!("noise[{b}] is {noise}, not a variance")));
         }
-        out.push((layout, noise));
+        let spp = spp.as_ref().map(|spp| u32::from_le_bytes(spp[b]));
+        out.push(Row { layout, noise, spp });
         start = end;
     }
     if start != patches {

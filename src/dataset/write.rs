@@ -2,19 +2,20 @@
 
 use super::{
     block::{Block, Layout},
+    contact_sheet::contact_sheet,
+    files::{CONTACT_SHEET, HEIGHTS, is_ours, refresh, write_blocks, write_heights, write_view},
     folder::{check_bytes, entries, is_part, name_of, remove, write_whole},
-    format::{FileInfo, HeightInfo, MANIFEST, Manifest, SplitInfo, SplitName, Summary, ViewInfo, file_name},
-    frame::{Plane, write_frame},
-    grid::write_grid,
+    format::{FileInfo, MANIFEST, Manifest, SplitInfo, SplitName, file_name},
     nearest::Nearest,
-    query_frame::write_query_frame,
-    table::{read_table, write_table},
+    origin::check_same,
+    read::Dataset,
+    shard::{Collected, is_description},
+    table::read_table,
 };
 use crate::{
     error::{Error, Result},
     query::{QueryBuffer, RgbImage},
 };
-use half::f16;
 use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
@@ -28,8 +29,10 @@ pub enum Existing {
     Refuse,
     /// Remove its files and start again.
     Replace,
-    /// Keep its files and go on; its description must be the same.
+    /// Keep its files and go on, also with what shards have made; its description must be the same.
     Resume,
+    /// Keep its files and add training data; its description must be the same but for the amount of that.
+    Append,
 }
 
 /// A dataset being written. Each file is written whole, then `dataset.json` is; a run that is stopped leaves
@@ -39,6 +42,8 @@ pub struct Writer {
     root: PathBuf,
     manifest: Manifest,
     nearest: BTreeMap<SplitName, Nearest>,
+    /// Files that shards have made and that the description does not have yet.
+    collected: Collected,
 }
 
 impl Writer {
@@ -49,10 +54,13 @@ impl Writer {
     /// `File` if the folder holds something else, or a dataset that `existing` does not allow.
     pub fn create(root: &Path, manifest: Manifest, existing: Existing) -> Result<Self> {
         manifest.validate()?;
-        let mut this = Self { root: root.into(), manifest, nearest: BTreeMap::new() };
+        let collected = Collected::default();
+        let mut this = Self { root: root.into(), manifest, nearest: BTreeMap::new(), collected };
         let present = entries(root)?;
         let all = |which: &dyn Fn(&str) -> bool| present.iter().all(|path| which(name_of(path)));
-        if present.iter().any(|path| name_of(path) == MANIFEST) {
+        let any = |which: &dyn Fn(&str) -> bool| present.iter().any(|path| which(name_of(path)));
+        let shards = any(&is_description);
+        if any(&|name| name == MANIFEST) {
             // The description goes first: a folder without it is no dataset, with it and without files a
             // broken one.
             match existing {
@@ -67,13 +75,21 @@ impl Writer {
                     let problem = format!("its {MANIFEST} is not of a dataset of ours: name another folder");
                     return Err(Error::file(root, problem));
                 }
-                Existing::Resume => this.take_over()?,
+                Existing::Resume | Existing::Append => this.take_over(existing)?,
             }
+        } else if existing == Existing::Append {
+            return Err(Error::file(root, "holds no dataset to append to: generate it first"));
         } else if existing == Existing::Replace && all(&is_ours) {
             // What a replacement that was killed left behind.
             remove(&present, MANIFEST, is_ours)?;
-        } else if !all(&is_part) {
+        } else if shards && existing == Existing::Refuse {
+            let problem = "holds shards of a dataset: resume to collect them, or force its replacement";
+            return Err(Error::file(root, problem));
+        } else if !all(&is_part) && !(shards && existing == Existing::Resume) {
             return Err(Error::file(root, "is not empty and not a dataset: name another folder"));
+        }
+        if existing == Existing::Resume {
+            this.collected = Collected::read(root, &this.manifest)?;
         }
         std::fs::create_dir_all(root).map_err(|e| Error::file(root, format!("cannot be made: {e}")))?;
         remove(&entries(root)?, MANIFEST, is_part)?;
@@ -87,32 +103,18 @@ impl Writer {
     }
 
     /// Continues from what is on disk if it was made in the same way.
-    fn take_over(&mut self) -> Result<()> {
+    fn take_over(&mut self, existing: Existing) -> Result<()> {
         let found = Manifest::read(&self.root)?;
-        // Both sides go through the same text, where a number may lose its last bit.
-        let wanted: Manifest = serde_json::from_slice(&self.manifest.to_json()?)
-            .map_err(|e| Error::file(self.root.join(MANIFEST), e))?;
-        let same = [
-            ("generator", wanted.generator == found.generator),
-            ("material", wanted.material == found.material),
-            ("source", wanted.source == found.source),
-            ("resolution", wanted.resolution == found.resolution),
-            ("height_range", wanted.height_range == found.height_range),
-            ("generation", wanted.generation == found.generation),
-        ];
-        if let Some((field, _)) = same.iter().find(|(_, same)| !same) {
-            return Err(Error::file(
-                self.root.join(MANIFEST),
-                format!("{field} differs from what is asked for: ask for the same or force its replacement"),
-            ));
-        }
+        let path = self.root.join(MANIFEST);
+        check_same(&found, &self.manifest, &path, existing == Existing::Append)?;
         for view in &found.views {
             check_bytes(&self.root.join(view.file()), view.bytes)?;
         }
         if let Some(heights) = &found.heights {
             check_bytes(&self.root.join(HEIGHTS), heights.bytes)?;
         }
-        let Manifest { complete, heights, splits, views, .. } = found;
+        let complete = found.complete && found.appended_at == self.manifest.appended_at;
+        let Manifest { heights, splits, views, .. } = found;
         self.manifest = Manifest { complete, heights, splits, views, ..self.manifest.clone() };
         // Training data last: it is compared with what is held out.
         for name in SplitName::ALL.into_iter().rev() {
@@ -120,16 +122,23 @@ impl Writer {
                 continue;
             };
             for file in files {
-                check_bytes(&self.root.join(format!("{}.exr", file.name)), file.frame_bytes)?;
-                let path = self.root.join(format!("{}.safetensors", file.name));
-                let table = read_table(&path, file.table_bytes, side, file.blocks, file.patches)?;
-                self.track(name, &table.iter().map(|(layout, _)| layout).collect::<Vec<_>>());
+                self.read_back(name, side, &file)?;
             }
         }
         Ok(())
     }
 
-    /// Announces a split and how many blocks it will have; one that is there already is kept.
+    /// Checks a file that is there and takes note of its directions.
+    fn read_back(&mut self, name: SplitName, side: usize, file: &FileInfo) -> Result<()> {
+        check_bytes(&self.root.join(format!("{}.exr", file.name)), file.frame_bytes)?;
+        let path = self.root.join(format!("{}.safetensors", file.name));
+        let table = read_table(&path, file.table_bytes, side, file.blocks, file.patches)?;
+        self.track(name, &table.iter().map(|row| &row.layout).collect::<Vec<_>>());
+        Ok(())
+    }
+
+    /// Announces a split and how many blocks it will have; one that is there already is kept. Training data that is
+    /// appended to may have more of them than it had.
     ///
     /// # Errors
     /// `Config` if one is there with another block side or number of blocks.
@@ -146,10 +155,14 @@ impl Writer {
             spp,
             level_shares: Vec::new(),
             noise: 0.0,
+            noisy_blocks: 0,
             nearest_training: None,
             files: Vec::new(),
         };
         let split = self.manifest.splits.entry(name).or_insert(empty);
+        if name == SplitName::Train && !self.manifest.appended_at.is_empty() {
+            split.planned_blocks = split.planned_blocks.max(planned_blocks);
+        }
         if (split.side, split.planned_blocks, split.spp) != (side, planned_blocks, spp) {
             return Err(Error::config(format!("splits.{name}"), "is there with another plan"));
         }
@@ -162,37 +175,60 @@ impl Writer {
     /// # Errors
     /// `Config` if the split is not planned or the blocks do not fit it, `File` if writing fails.
     pub fn push(&mut self, name: SplitName, blocks: &[Block]) -> Result<()> {
-        let Some(split) = self.manifest.splits.get(&name) else {
-            return Err(Error::config(format!("splits.{name}"), "has not been planned"));
-        };
-        if blocks.is_empty() || blocks.iter().any(|block| block.side() != split.side) {
-            return Err(Error::config(
-                format!("splits.{name}"),
-                format!("a file needs at least one block, each of side {}", split.side),
-            ));
+        let (side, index) = self.next(name)?;
+        let noise = self.manifest.generation.as_ref().and_then(|config| config.noise);
+        let info = write_blocks(&self.root, name, index, side, blocks, noise)?;
+        self.add(name, info);
+        self.track(name, &blocks.iter().map(Block::layout).collect::<Vec<_>>());
+        self.save()
+    }
+
+    /// Side of a split's blocks and number of its next file.
+    fn next(&self, name: SplitName) -> Result<(usize, usize)> {
+        match self.manifest.splits.get(&name) {
+            Some(split) => Ok((split.side, split.files.len())),
+            None => Err(Error::config(format!("splits.{name}"), "has not been planned")),
         }
-        let file = file_name(name, split.files.len());
-        let layouts: Vec<&Layout> = blocks.iter().map(Block::layout).collect();
-        let noise: Vec<f32> = blocks.iter().map(Block::noise).collect();
-        let info = FileInfo {
-            blocks: blocks.len(),
-            patches: layouts.iter().map(|layout| layout.patches().len()).sum(),
-            level_blocks: count_levels(&layouts),
-            frame_bytes: write_grid(&self.root.join(format!("{file}.exr")), split.side, blocks)?,
-            table_bytes: write_table(&self.root.join(format!("{file}.safetensors")), &layouts, &noise)?,
-            summary: summary(
-                blocks.iter().flat_map(|block| block.rgb()).map(|p| p.map(f16::to_f32)),
-                mean(noise.iter().map(|v| f64::from(*v))),
-            ),
-            noise: mean(noise.iter().map(|v| f64::from(*v).sqrt())),
-            name: file,
-        };
+    }
+
+    fn add(&mut self, name: SplitName, info: FileInfo) {
         self.manifest.splits.entry(name).and_modify(|split| {
             split.files.push(info);
             refresh(split);
         });
-        self.track(name, &layouts);
-        self.save()
+    }
+
+    /// Takes the next file of a split from the shards; false if none of them has it.
+    pub(crate) fn adopt(&mut self, name: SplitName) -> Result<bool> {
+        let (side, index) = self.next(name)?;
+        let Some(info) = self.collected.files.remove(&file_name(name, index)) else { return Ok(false) };
+        info.validate(name, index, side * side)?;
+        self.read_back(name, side, &info)?;
+        self.add(name, info);
+        Ok(true)
+    }
+
+    /// Takes a view from the shards; false if none of them has it.
+    pub(crate) fn adopt_view(&mut self, name: &str) -> Result<bool> {
+        let Some(info) = self.collected.views.remove(name) else { return Ok(false) };
+        check_bytes(&self.root.join(info.file()), info.bytes)?;
+        self.manifest.views.push(info);
+        Ok(true)
+    }
+
+    /// Takes the height map from the shards; false if none of them has it.
+    pub(crate) fn adopt_heights(&mut self) -> Result<bool> {
+        let Some(info) = self.collected.heights.take() else { return Ok(false) };
+        check_bytes(&self.root.join(HEIGHTS), info.bytes)?;
+        self.manifest.heights = Some(info);
+        Ok(true)
+    }
+
+    /// Samples that are there or that shards have made.
+    pub(crate) fn samples(&self) -> u64 {
+        let splits = self.manifest.splits.values().map(SplitInfo::samples).sum::<u64>();
+        let views = self.manifest.views.iter().map(|view| (view.height * view.width) as u64).sum::<u64>();
+        splits + views + self.collected.samples(&self.manifest)
     }
 
     /// Writes a view: a picture as queries and answers, with the mean variance of the answers.
@@ -206,17 +242,7 @@ impl Writer {
         rgb: &RgbImage,
         variance: f32,
     ) -> Result<()> {
-        let mut info = ViewInfo {
-            name: name.into(),
-            height: queries.height(),
-            width: queries.width(),
-            bytes: 0,
-            summary: summary(rgb.pixels.iter().copied(), variance),
-        };
-        let mut checked = self.manifest.clone();
-        checked.views.push(info.clone());
-        checked.validate()?;
-        info.bytes = write_query_frame(&self.root.join(info.file()), queries, rgb)?;
+        let info = write_view(&self.root, name, queries, rgb, variance)?;
         self.manifest.views.push(info);
         self.save()
     }
@@ -226,29 +252,26 @@ impl Writer {
     /// # Errors
     /// `Config` if the number of values is wrong or one is not finite, `File` if writing fails.
     pub fn set_heights(&mut self, height: usize, width: usize, values: Vec<f32>) -> Result<()> {
-        if values.is_empty() || height.checked_mul(width) != Some(values.len()) {
-            return Err(Error::config(
-                "height_map",
-                format!("{} values are not {height} x {width}", values.len()),
-            ));
-        }
-        if let Some(k) = values.iter().position(|v| !v.is_finite()) {
-            return Err(Error::config(format!("height_map[{k}]"), "is not finite"));
-        }
-        let path = self.root.join(HEIGHTS);
-        let bytes = write_frame(&path, [height, width], vec![("Y", Plane::Float(values))])?;
-        self.manifest.heights = Some(HeightInfo { height, width, bytes });
+        self.manifest.heights = Some(write_heights(&self.root, height, width, values)?);
         self.save()
     }
 
-    /// Marks the dataset complete and returns its description.
+    /// Draws the contact sheet, marks the dataset complete and returns its description.
     ///
     /// # Errors
     /// `File` if writing fails.
     pub fn finish(mut self) -> Result<Manifest> {
+        let sheet = contact_sheet(&Dataset::written(&self.root, &self.manifest))?;
+        write_whole(&self.root.join(CONTACT_SHEET), &sheet)?;
         self.manifest.complete = true;
         self.save()?;
+        self.forget_shards()?;
         Ok(self.manifest)
+    }
+
+    /// Removes the descriptions of shards, which the dataset's own has taken in.
+    pub(crate) fn forget_shards(&self) -> Result<()> {
+        remove(&entries(&self.root)?, "", is_description)
     }
 
     /// Brings the distances between held-out and training directions up to date.
@@ -272,70 +295,12 @@ impl Writer {
     }
 }
 
-/// Name of the height map's file.
-pub(crate) const HEIGHTS: &str = "height.exr";
-
-/// True for the names that a dataset's files have.
-fn is_ours(name: &str) -> bool {
-    let numbered = |rest: &str| {
-        let number = rest.strip_suffix(".exr").or(rest.strip_suffix(".safetensors"));
-        number.is_some_and(|n| n.len() == 5 && n.bytes().all(|c| c.is_ascii_digit()))
-    };
-    let of_split = |split: SplitName| name.strip_prefix(&format!("{split}-")).is_some_and(numbered);
-    name == MANIFEST
-        || name == HEIGHTS
-        || is_part(name)
-        || (name.starts_with("views-") && name.ends_with(".exr"))
-        || SplitName::ALL.into_iter().any(of_split)
-}
-
-/// True if the description in a folder is of this program, of any version, or damaged among nothing but files `all_ours`:
-/// other programs have a `dataset.json` too.
+/// True if the description in a folder is of this program, of any version, or damaged among nothing but files
+/// `all_ours`: other programs have a `dataset.json` too.
 fn is_replaceable(root: &Path, all_ours: bool) -> bool {
     let text = std::fs::read(root.join(MANIFEST)).unwrap_or_default();
     serde_json::from_slice::<serde_json::Value>(&text).map_or(all_ours, |value| {
         let generator = value.get("generator").and_then(serde_json::Value::as_str);
         value.get("format").is_some() && generator.is_some_and(|g| g.starts_with("neumip"))
     })
-}
-
-fn count_levels(layouts: &[&Layout]) -> Vec<usize> {
-    let mut counts = vec![0];
-    for layout in layouts {
-        let level = layout.level().round() as usize;
-        if counts.len() <= level {
-            counts.resize(level + 1, 0);
-        }
-        counts[level] += 1;
-    }
-    counts
-}
-
-fn summary(rgb: impl Iterator<Item = [f32; 3]>, variance: f32) -> Summary {
-    let (mut sum, mut max, mut n) = ([0.0f64; 3], f32::NEG_INFINITY, 0u64);
-    for pixel in rgb {
-        for c in 0..3 {
-            sum[c] += f64::from(pixel[c]);
-            max = max.max(pixel[c]);
-        }
-        n += 1;
-    }
-    Summary { mean: sum.map(|s| (s / n.max(1) as f64) as f32), max: if n > 0 { max } else { 0.0 }, variance }
-}
-
-/// Mean of at least one value.
-fn mean(values: impl ExactSizeIterator<Item = f64>) -> f32 {
-    let n = values.len().max(1) as f64;
-    (values.sum::<f64>() / n) as f32
-}
-
-/// Recomputes what a split says of its files together.
-fn refresh(split: &mut SplitInfo) {
-    let blocks = split.blocks().max(1) as f64;
-    let levels = split.files.iter().map(|f| f.level_blocks.len()).max().unwrap_or(0);
-    let count =
-        |level: usize| -> usize { split.files.iter().filter_map(|f| f.level_blocks.get(level)).sum() };
-    split.level_shares = (0..levels).map(|level| (count(level) as f64 / blocks) as f32).collect();
-    let noise: f64 = split.files.iter().map(|f| f.blocks as f64 * f64::from(f.noise)).sum();
-    split.noise = (noise / blocks) as f32;
 }

@@ -1,5 +1,5 @@
 //! A tileable displaced surface: heights at texel centres, a bilinear patch between every four neighbours, and the
-//! pyramid of maxima that lets rays skip what lies below them.
+//! pyramids of extremes that let rays skip what lies below or above them.
 
 use crate::error::{Error, Result};
 
@@ -20,7 +20,7 @@ pub struct HeightMap {
     pub values: Vec<f32>,
 }
 
-/// Heights with their pyramid of maxima.
+/// Heights with their pyramids of maxima and minima.
 ///
 /// Patch (i, j) spans the samples (i, j), (i, j + 1), (i + 1, j), (i + 1, j + 1), wrapping. Grid coordinates are
 /// X = x W - 0.5 and Y = y H - 0.5, so that the patch is \[j, j + 1\] x \[i, i + 1\] there.
@@ -32,7 +32,9 @@ pub struct Heightfield {
     samples: Vec<f32>,
     /// Maxima over blocks of 2^level x 2^level patches, levels 1, 2, ... one after the other.
     maxima: Vec<f32>,
-    /// Where each level starts in `maxima`, and how many blocks a row has there.
+    /// Minima over the same blocks.
+    minima: Vec<f32>,
+    /// Where each level starts in `maxima` and `minima`, and how many blocks a row has there.
     pub(super) levels: Vec<Level>,
     pub(super) low: f64,
     pub(super) high: f64,
@@ -100,8 +102,9 @@ impl Heightfield {
             samples.extend_from_slice(row);
             samples.push(row[0]);
         }
-        let (maxima, levels) = pyramid(height, width, &samples);
-        Ok(Self { height, width, samples, maxima, levels, low: low.into(), high: high.into() })
+        let (maxima, levels) = pyramid(height, width, &samples, f32::max);
+        let (minima, _) = pyramid(height, width, &samples, f32::min);
+        Ok(Self { height, width, samples, maxima, minima, levels, low: low.into(), high: high.into() })
     }
 
     /// Least and greatest height, in tile widths.
@@ -141,13 +144,24 @@ impl Heightfield {
 
     /// Largest height of a patch.
     pub(super) fn patch_max(&self, i: usize, j: usize) -> f32 {
-        patch_max(&self.samples, self.width, i, j)
+        patch_extreme(&self.samples, self.width, i, j, f32::max)
+    }
+
+    /// Least height of a patch.
+    pub(super) fn patch_min(&self, i: usize, j: usize) -> f32 {
+        patch_extreme(&self.samples, self.width, i, j, f32::min)
     }
 
     /// Largest height of the block at `level` >= 1 that holds patch (i, j).
     pub(super) fn block_max(&self, level: usize, i: usize, j: usize) -> f32 {
         let Level { base, width } = self.levels[level - 1];
         self.maxima[base + (i >> level) * width + (j >> level)]
+    }
+
+    /// Least height of the same block.
+    pub(super) fn block_min(&self, level: usize, i: usize, j: usize) -> f32 {
+        let Level { base, width } = self.levels[level - 1];
+        self.minima[base + (i >> level) * width + (j >> level)]
     }
 
     /// Upward unit normal of patch (i, j) at the position (u, v) inside it.
@@ -167,38 +181,42 @@ impl Patch {
     }
 }
 
-fn patch_max(samples: &[f32], width: usize, i: usize, j: usize) -> f32 {
+fn patch_extreme(samples: &[f32], width: usize, i: usize, j: usize, choose: fn(f32, f32) -> f32) -> f32 {
     let at = i * (width + 1) + j;
     let below = at + width + 1;
-    samples[at].max(samples[at + 1]).max(samples[below].max(samples[below + 1]))
+    choose(choose(samples[at], samples[at + 1]), choose(samples[below], samples[below + 1]))
 }
 
-/// Maxima of all levels up to the one that is a single block.
-fn pyramid(height: usize, width: usize, samples: &[f32]) -> (Vec<f32>, Vec<Level>) {
-    let (mut maxima, mut levels) = (Vec::new(), Vec::<Level>::new());
+/// Extremes of all levels up to the one that is a single block.
+fn pyramid(
+    height: usize,
+    width: usize,
+    samples: &[f32],
+    choose: fn(f32, f32) -> f32,
+) -> (Vec<f32>, Vec<Level>) {
+    let (mut extremes, mut levels) = (Vec::new(), Vec::<Level>::new());
     let (mut rows, mut columns) = (height, width);
     while rows > 1 || columns > 1 {
         let finer = levels.last().copied();
-        let base = maxima.len();
+        let base = extremes.len();
         let (fine_rows, fine_columns) = (rows, columns);
         (rows, columns) = (rows.div_ceil(2), columns.div_ceil(2));
         for i in 0..rows {
             for j in 0..columns {
-                let mut most = f32::NEG_INFINITY;
-                for fi in 2 * i..(2 * i + 2).min(fine_rows) {
-                    for fj in 2 * j..(2 * j + 2).min(fine_columns) {
-                        most = most.max(match finer {
-                            None => patch_max(samples, width, fi, fj),
-                            Some(level) => maxima[level.base + fi * level.width + fj],
-                        });
-                    }
-                }
-                maxima.push(most);
+                let fine = (2 * i..(2 * i + 2).min(fine_rows))
+                    .flat_map(|fi| (2 * j..(2 * j + 2).min(fine_columns)).map(move |fj| (fi, fj)));
+                let extreme = fine
+                    .map(|(fi, fj)| match finer {
+                        None => patch_extreme(samples, width, fi, fj, choose),
+                        Some(level) => extremes[level.base + fi * level.width + fj],
+                    })
+                    .reduce(choose);
+                extremes.extend(extreme);
             }
         }
         levels.push(Level { base, width: columns });
     }
-    (maxima, levels)
+    (extremes, levels)
 }
 
 #[cfg(test)]
@@ -222,10 +240,12 @@ mod tests {
             for i in 0..13 {
                 for j in 0..6 {
                     assert!(field.block_max(level, i, j) >= field.patch_max(i, j));
+                    assert!(field.block_min(level, i, j) <= field.patch_min(i, j));
                 }
             }
         }
         assert_eq!(f64::from(field.block_max(field.levels.len(), 12, 5)), field.high);
+        assert_eq!(f64::from(field.block_min(field.levels.len(), 12, 5)), field.low);
     }
 
     #[test]

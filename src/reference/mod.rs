@@ -1,32 +1,50 @@
-//! Ground truth: a tileable displaced surface with a distant light, cast shadows and optional indirect light.
+//! Ground truth: a tileable surface with a distant light, cast shadows and indirect light.
 //!
 //! u names where the view ray crosses the plane z = 0; the surface lies above and below it, so parallax goes both ways.
 //!
-//! [`maps`] and [`builtin`] make a [`Material`]; [`heightfield`] and [`raycast`] answer rays, [`shading`] the
-//! reflectance of a point; [`integrator`] joins them along paths; [`footprint`] averages over a query's box.
+//! ```text
+//! builtin, cloth, maps, mesh_file ── what there is to see
+//!      │
+//! material ─ parts: solid layers, sheets with holes, meshes, fibres; their maps
+//!      │
+//! heightfield + raycast, bvh ─ rays        shading, fibre_shading ─ the reflectance of a point
+//!      │                                        │
+//! geometry ─ the nearest part, its frame ───────┘
+//!      │
+//! integrator ─ direct and indirect light along paths        footprint ─ the box of a query and its strata
+//! ```
 
 pub mod builtin;
+pub mod bvh;
+pub mod cloth;
+pub mod fibre_shading;
 pub mod footprint;
+pub mod frame;
+pub mod geometry;
 pub mod heightfield;
 pub mod integrator;
 pub mod map_file;
 pub mod maps;
 pub mod material;
+pub mod mesh_file;
 pub mod raycast;
 pub mod resample;
 pub mod shading;
 pub mod texture;
+pub mod tiling;
 
+pub use fibre_shading::FibreLook;
+pub use geometry::Geometry;
 pub use heightfield::{HeightMap, Heightfield};
-pub use integrator::Surface;
-pub use material::Material;
+pub use material::{Layer, Material, Paint, Part};
 pub use shading::Brdf;
 pub use texture::Texture;
 
 use crate::error::{Error, Result};
 use crate::query::{QueryBuffer, Reflectance, RgbImage, above_horizon};
-use crate::random::{Random, Stream};
+use crate::random::{self, Random, Stream};
 use footprint::{Footprint, Strata, mean_and_variance};
+use maps::ReadOptions;
 use rayon::prelude::*;
 use std::path::Path;
 
@@ -35,6 +53,13 @@ pub const MAX_SPP: usize = 1 << 20;
 
 /// Most bounces of indirect light.
 pub const MAX_BOUNCES: usize = 64;
+
+/// Queries that one thread answers at a time.
+const CHUNK: usize = 64;
+
+/// Queries along a side, and sub-samples of each, by which a material is told from others.
+const FINGERPRINT_SIDE: usize = 16;
+const FINGERPRINT_SPP: usize = 2;
 
 /// How a reference is set up.
 #[derive(Clone, Debug)]
@@ -47,6 +72,8 @@ pub struct ReferenceOptions {
     pub field_side: usize,
     /// Seed of a built-in material's random choices; not the seed of the sampling, so that a name stays a material.
     pub material_seed: u64,
+    /// Crop and cross-fade maps that do not tile.
+    pub make_tileable: bool,
     /// Sub-samples a query and seed where queries come through [`Reflectance`].
     pub sampling: Sampling,
 }
@@ -55,9 +82,10 @@ impl Default for ReferenceOptions {
     fn default() -> Self {
         Self {
             resolution: None,
-            bounces: 0,
+            bounces: 1,
             field_side: 512,
             material_seed: 0,
+            make_tileable: false,
             sampling: Sampling { spp: 64, seed: 0, first: 0 },
         }
     }
@@ -82,12 +110,17 @@ pub struct Measured {
     /// Variance of each answer (of the mean over its sub-samples), averaged over RGB; see
     /// [`footprint::mean_and_variance`]. 0 where one sub-sample was taken: unknown.
     pub variance: Vec<f32>,
+    /// Rays that were cast.
+    pub rays: u64,
 }
 
-/// A surface that answers queries.
-#[derive(Clone, Debug)]
+/// A material that answers queries.
+#[derive(Debug)]
 pub struct Reference {
-    surface: Surface,
+    name: String,
+    notes: Vec<String>,
+    geometry: Geometry,
+    height_range: [f32; 2],
     resolution: [usize; 2],
     bounces: usize,
     sampling: Sampling,
@@ -97,15 +130,16 @@ impl Reference {
     /// A built-in material by name, a `material.json`, or a folder that holds one.
     ///
     /// # Errors
-    /// `Usage` for a name that is neither, listing the built-in ones; otherwise as [`maps::read`] and [`Reference::new`].
+    /// `Usage` for a name that is neither, listing the built-in ones; otherwise as [`ReadOptions::read`] and [`Reference::new`].
     pub fn open(spec: &str, options: &ReferenceOptions) -> Result<Self> {
         let path = Path::new(spec);
+        let maps = ReadOptions { make_tileable: options.make_tileable };
         let material = if builtin::NAMES.contains(&spec) {
             builtin::make(spec, options.field_side, options.material_seed)?
         } else if path.is_dir() {
-            maps::read(&path.join("material.json"))?
+            maps.read(&path.join("material.json"))?
         } else if path.exists() {
-            maps::read(path)?
+            maps.read(path)?
         } else {
             let names = builtin::NAMES.join(", ");
             return Err(Error::usage(format!(
@@ -118,10 +152,16 @@ impl Reference {
     /// A reference over a material.
     ///
     /// # Errors
-    /// `Config`, naming the option that is out of bounds; and as [`Heightfield::new`].
-    pub fn new(material: Material, options: &ReferenceOptions) -> Result<Self> {
-        let field = Heightfield::new(&material.height)?;
-        let resolution = options.resolution.unwrap_or([material.height.height, material.height.width]);
+    /// `Config`, naming the option that is out of bounds; for a material whose stated range its surface leaves; and as
+    /// [`Geometry::new`].
+    pub fn new(mut material: Material, options: &ReferenceOptions) -> Result<Self> {
+        let (name, notes) = (std::mem::take(&mut material.name), std::mem::take(&mut material.notes));
+        let stated = material.height_range;
+        let geometry = Geometry::new(material)?;
+        let resolution = options.resolution.unwrap_or(match geometry.height_map() {
+            Some(map) => [map.height, map.width],
+            None => [options.field_side; 2],
+        });
         for (k, side) in resolution.iter().enumerate() {
             if !heightfield::SIDES.contains(side) {
                 let (least, most) = (heightfield::SIDES.start(), heightfield::SIDES.end());
@@ -135,22 +175,29 @@ impl Reference {
             return Err(Error::config("bounces", format!("{} is more than {MAX_BOUNCES}", options.bounces)));
         }
         check_spp(options.sampling.spp)?;
-        Ok(Self {
-            surface: Surface { field, material },
-            resolution,
-            bounces: options.bounces,
-            sampling: options.sampling,
-        })
+        let found = geometry.range().map(|z| z as f32);
+        let height_range = stated.unwrap_or(found);
+        if !(height_range[0] <= found[0] && found[1] <= height_range[1]) {
+            return Err(Error::config(
+                "height_range",
+                format!(
+                    "{} to {} is stated, but the surface spans {} to {}",
+                    height_range[0], height_range[1], found[0], found[1]
+                ),
+            ));
+        }
+        let (bounces, sampling) = (options.bounces, options.sampling);
+        Ok(Self { name, notes, geometry, height_range, resolution, bounces, sampling })
     }
 
-    /// What was done to the material's maps, a line each.
+    /// What was done to the material's files, a line each.
     pub fn notes(&self) -> &[String] {
-        &self.surface.material.notes
+        &self.notes
     }
 
     /// The material's name.
     pub fn name(&self) -> &str {
-        &self.surface.material.name
+        &self.name
     }
 
     /// Texels \[H, W\] of level 0.
@@ -158,19 +205,42 @@ impl Reference {
         self.resolution
     }
 
-    /// The surface behind the answers.
-    pub fn surface(&self) -> &Surface {
-        &self.surface
+    /// Indirect bounces after the direct light.
+    pub fn bounces(&self) -> usize {
+        self.bounces
+    }
+
+    /// A number that tells this material under this light transport from others: a hash of its answers to a few fixed
+    /// queries.
+    pub fn fingerprint(&self) -> String {
+        let strata = Strata::new(FINGERPRINT_SPP);
+        let sampling = Sampling { spp: FINGERPRINT_SPP, seed: 0, first: 0 };
+        let mut queries = QueryBuffer::slice(FINGERPRINT_SIDE, FINGERPRINT_SIDE, [0.0; 2], [0.0; 2], 0.0);
+        for k in 0..queries.len() {
+            let mut random = Random::new(0, Stream::Probe, k as u64);
+            (queries.wi[k], queries.wo[k]) = (random.disc(0.99), random.disc(0.99));
+        }
+        let (mut samples, mut hash) = (Vec::new(), 0);
+        for k in 0..queries.len() {
+            let (rgb, _) = self.answer(&queries, k, &sampling, &strata, &mut samples, &mut 0);
+            hash = rgb.iter().fold(hash, |hash, v| random::hash(hash ^ u64::from(v.to_bits())));
+        }
+        format!("{hash:016x}")
+    }
+
+    /// The geometry behind the answers.
+    pub fn geometry(&self) -> &Geometry {
+        &self.geometry
     }
 
     /// Least and greatest height over the reference plane, in tile widths.
     pub fn height_range(&self) -> [f32; 2] {
-        self.surface.field.range()
+        self.height_range
     }
 
-    /// Heights over the reference plane at the field's own resolution.
-    pub fn height_map(&self) -> HeightMap {
-        self.surface.field.height_map()
+    /// Heights over the reference plane at the field's own resolution, where the material is one solid layer.
+    pub fn height_map(&self) -> Option<HeightMap> {
+        self.geometry.height_map()
     }
 
     /// Answers every query with its noise. The bytes depend on the queries and `sampling` alone.
@@ -181,15 +251,17 @@ impl Reference {
         check_spp(sampling.spp)?;
         let strata = Strata::new(sampling.spp);
         let mut answers = vec![([0.0; 3], 0.0); queries.len()];
-        answers.par_iter_mut().enumerate().with_min_len(16).for_each_init(
-            || Vec::with_capacity(sampling.spp),
-            |samples, (k, answer)| {
-                *answer = self.answer(queries, k, sampling, &strata, samples);
-            },
-        );
+        let chunks = answers.par_chunks_mut(CHUNK).enumerate().map(|(chunk, answers)| {
+            let (mut samples, mut rays) = (Vec::with_capacity(sampling.spp), 0);
+            for (k, answer) in answers.iter_mut().enumerate() {
+                *answer = self.answer(queries, chunk * CHUNK + k, sampling, &strata, &mut samples, &mut rays);
+            }
+            rays
+        });
+        let rays = chunks.sum();
         let (pixels, variance) = answers.into_iter().unzip();
         let rgb = RgbImage { height: queries.height(), width: queries.width(), pixels };
-        Ok(Measured { rgb, variance })
+        Ok(Measured { rgb, variance, rays })
     }
 
     fn answer(
@@ -199,6 +271,7 @@ impl Reference {
         sampling: &Sampling,
         strata: &Strata,
         samples: &mut Vec<[f32; 3]>,
+        rays: &mut u64,
     ) -> ([f32; 3], f32) {
         if !above_horizon(queries.wi[k]) || !above_horizon(queries.wo[k]) {
             return ([0.0; 3], 0.0);
@@ -210,7 +283,7 @@ impl Reference {
         for stratum in 0..strata.len() {
             let jitter = [random.uniform(), random.uniform()].map(f64::from);
             let p = footprint.point(strata.point(stratum, jitter));
-            samples.push(self.surface.radiance(p, wi, wo, self.bounces, &mut random));
+            samples.push(self.geometry.radiance(p, wi, wo, self.bounces, &mut random, rays));
         }
         mean_and_variance(samples)
     }

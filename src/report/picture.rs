@@ -137,6 +137,32 @@ pub fn strip_of(pictures: &[Picture]) -> Result<Vec<u8>> {
     Ok(bytes.into_inner())
 }
 
+/// Rows of pictures with thin dark gaps, as one picture; all pictures have the size of the first.
+///
+/// # Errors
+/// `Config` if there is no picture, one has another size, or a side would pass [`MAX_SIDE`].
+pub fn sheet(rows: &[Vec<Picture>]) -> Result<Picture> {
+    let first = rows.iter().flatten().next().ok_or_else(|| Error::config("sheet", "needs a picture"))?;
+    let (width, height) = first.dimensions();
+    if rows.iter().flatten().any(|picture| picture.dimensions() != (width, height)) {
+        return Err(Error::config("sheet", "its pictures differ in size"));
+    }
+    let side = |count: usize, each: u32| count as u64 * u64::from(each + GAP) - u64::from(GAP);
+    let columns = rows.iter().map(Vec::len).max().unwrap_or(1);
+    let (across, down) = (side(columns, width), side(rows.len(), height));
+    if across.max(down) > MAX_SIDE as u64 {
+        return Err(Error::config("sheet", format!("{across} x {down} pixels: {MAX_SIDE} is the most")));
+    }
+    let mut sheet = Picture::new(across as u32, down as u32);
+    for (i, row) in rows.iter().enumerate() {
+        for (j, picture) in row.iter().enumerate() {
+            let (left, top) = (j as i64 * i64::from(width + GAP), i as i64 * i64::from(height + GAP));
+            image::imageops::replace(&mut sheet, picture, left, top);
+        }
+    }
+    Ok(sheet)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -80,6 +80,12 @@ impl Simd for Avx2 {
         unsafe { _mm256_storeu_si256(to.as_mut_ptr().cast(), a) }
     }
     #[inline(always)]
+    fn gather(self, from: &[f32], at: __m256i) -> __m256 {
+        let last = super::last_index(from);
+        // SAFETY: the token proves the instructions; no index exceeds the last one of the slice, unsigned.
+        unsafe { _mm256_i32gather_ps::<4>(from.as_ptr(), _mm256_min_epu32(at, _mm256_set1_epi32(last))) }
+    }
+    #[inline(always)]
     fn sums<const M: usize>(self, rows: &[__m256; M], out: &mut [f32; M]) {
         for start in (0..M).step_by(N) {
             let mut group = [self.splat(0.0); N];
@@ -118,12 +124,16 @@ impl Simd for Avx2 {
         floor(a: __m256) -> __m256 = _mm256_floor_ps(a);
         greater(a: __m256, b: __m256) -> __m256 = _mm256_cmp_ps::<_CMP_GT_OQ>(a, b);
         select(mask: __m256, a: __m256, b: __m256) -> __m256 = _mm256_blendv_ps(b, a, mask);
+        both(a: __m256, b: __m256) -> __m256 = _mm256_and_ps(a, b);
+        either(a: __m256, b: __m256) -> __m256 = _mm256_or_ps(a, b);
+        mask_bits(mask: __m256) -> u32 = _mm256_movemask_ps(mask) as u32;
         int(x: i32) -> __m256i = _mm256_set1_epi32(x);
         truncate(a: __m256) -> __m256i = _mm256_cvttps_epi32(a);
         float(a: __m256i) -> __m256 = _mm256_cvtepi32_ps(a);
         bits(a: __m256) -> __m256i = _mm256_castps_si256(a);
         as_float(a: __m256i) -> __m256 = _mm256_castsi256_ps(a);
         int_add(a: __m256i, b: __m256i) -> __m256i = _mm256_add_epi32(a, b);
+        int_sub(a: __m256i, b: __m256i) -> __m256i = _mm256_sub_epi32(a, b);
         int_mul(a: __m256i, b: __m256i) -> __m256i = _mm256_mullo_epi32(a, b);
         int_and(a: __m256i, b: __m256i) -> __m256i = _mm256_and_si256(a, b);
         int_xor(a: __m256i, b: __m256i) -> __m256i = _mm256_xor_si256(a, b);

@@ -93,6 +93,12 @@ impl Simd for Avx512 {
         unsafe { _mm512_storeu_si512(to.as_mut_ptr().cast(), a) }
     }
     #[inline(always)]
+    fn gather(self, from: &[f32], at: __m512i) -> __m512 {
+        let last = super::last_index(from);
+        // SAFETY: the token proves the instructions; no index exceeds the last one of the slice, unsigned.
+        unsafe { _mm512_i32gather_ps::<4>(_mm512_min_epu32(at, _mm512_set1_epi32(last)), from.as_ptr().cast()) }
+    }
+    #[inline(always)]
     fn sums<const M: usize>(self, rows: &[__m512; M], out: &mut [f32; M]) {
         for start in (0..M).step_by(N) {
             let mut group = [self.splat(0.0); N];
@@ -131,12 +137,16 @@ impl Simd for Avx512 {
         floor(a: __m512) -> __m512 = _mm512_roundscale_ps::<0x09>(a);
         greater(a: __m512, b: __m512) -> __mmask16 = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(a, b);
         select(mask: __mmask16, a: __m512, b: __m512) -> __m512 = _mm512_mask_blend_ps(mask, b, a);
+        both(a: __mmask16, b: __mmask16) -> __mmask16 = a & b;
+        either(a: __mmask16, b: __mmask16) -> __mmask16 = a | b;
+        mask_bits(mask: __mmask16) -> u32 = u32::from(mask);
         int(x: i32) -> __m512i = _mm512_set1_epi32(x);
         truncate(a: __m512) -> __m512i = _mm512_cvttps_epi32(a);
         float(a: __m512i) -> __m512 = _mm512_cvtepi32_ps(a);
         bits(a: __m512) -> __m512i = _mm512_castps_si512(a);
         as_float(a: __m512i) -> __m512 = _mm512_castsi512_ps(a);
         int_add(a: __m512i, b: __m512i) -> __m512i = _mm512_add_epi32(a, b);
+        int_sub(a: __m512i, b: __m512i) -> __m512i = _mm512_sub_epi32(a, b);
         int_mul(a: __m512i, b: __m512i) -> __m512i = _mm512_mullo_epi32(a, b);
         int_and(a: __m512i, b: __m512i) -> __m512i = _mm512_and_si512(a, b);
         int_xor(a: __m512i, b: __m512i) -> __m512i = _mm512_xor_si512(a, b);

@@ -69,6 +69,14 @@ pub trait Simd: Copy + Send + Sync {
     fn greater(self, a: Self::F, b: Self::F) -> Self::M;
     /// `a` where true, else `b`.
     fn select(self, mask: Self::M, a: Self::F, b: Self::F) -> Self::F;
+    /// True where both are.
+    fn both(self, a: Self::M, b: Self::M) -> Self::M;
+    /// True where one is, or both.
+    fn either(self, a: Self::M, b: Self::M) -> Self::M;
+    /// Bit k is lane k.
+    fn mask_bits(self, mask: Self::M) -> u32;
+    /// The values at the indices of a slice that is not empty; indices beyond its end, and below 0, read its last value.
+    fn gather(self, from: &[f32], at: Self::I) -> Self::F;
     /// Sums of the lanes of each vector.
     fn sums<const N: usize>(self, rows: &[Self::F; N], out: &mut [f32; N]);
 
@@ -84,6 +92,8 @@ pub trait Simd: Copy + Send + Sync {
     fn as_float(self, a: Self::I) -> Self::F;
     /// a + b, wrapping.
     fn int_add(self, a: Self::I, b: Self::I) -> Self::I;
+    /// a - b, wrapping.
+    fn int_sub(self, a: Self::I, b: Self::I) -> Self::I;
     /// a b, wrapping.
     fn int_mul(self, a: Self::I, b: Self::I) -> Self::I;
     /// a and b.
@@ -211,4 +221,10 @@ pub fn dispatch<W: Work>(isa: Isa, work: W) -> W::Output {
         Kind::Avx2 => unsafe { avx2::enter(work) },
         _ => portable::enter(work),
     }
+}
+
+/// Last index of a slice that 32-bit indices reach.
+fn last_index(from: &[f32]) -> i32 {
+    assert!(!from.is_empty(), "there is nothing to gather from");
+    (from.len() - 1).min(i32::MAX as usize) as i32
 }

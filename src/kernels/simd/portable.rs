@@ -113,6 +113,27 @@ impl Simd for Portable {
         out
     }
     #[inline(always)]
+    fn both(self, a: Self::M, b: Self::M) -> Self::M {
+        zip(a, b, |a, b| a & b)
+    }
+    #[inline(always)]
+    fn either(self, a: Self::M, b: Self::M) -> Self::M {
+        zip(a, b, |a, b| a | b)
+    }
+    #[inline(always)]
+    fn mask_bits(self, mask: Self::M) -> u32 {
+        let mut bits = 0;
+        for i in 0..N {
+            bits |= u32::from(mask[i]) << i;
+        }
+        bits
+    }
+    #[inline(always)]
+    fn gather(self, from: &[f32], at: Self::I) -> Self::F {
+        let last = super::last_index(from) as u32;
+        map(at, |at| from[(at as u32).min(last) as usize])
+    }
+    #[inline(always)]
     fn sums<const M: usize>(self, rows: &[Self::F; M], out: &mut [f32; M]) {
         for i in 0..M {
             out[i] = (rows[i][0] + rows[i][2]) + (rows[i][1] + rows[i][3]);
@@ -141,6 +162,10 @@ impl Simd for Portable {
     #[inline(always)]
     fn int_add(self, a: Self::I, b: Self::I) -> Self::I {
         zip(a, b, i32::wrapping_add)
+    }
+    #[inline(always)]
+    fn int_sub(self, a: Self::I, b: Self::I) -> Self::I {
+        zip(a, b, i32::wrapping_sub)
     }
     #[inline(always)]
     fn int_mul(self, a: Self::I, b: Self::I) -> Self::I {

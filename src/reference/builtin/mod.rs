@@ -1,17 +1,31 @@
-//! Procedural materials by name. Every one is a function of position that repeats over the tile.
+//! Built-in materials by name. Those of surfaces are functions of position that repeat over the tile; cloth is made of
+//! fibres by [`super::cloth`].
 
+mod insulation_foam;
+mod leather;
 mod metal_rings;
 mod noise;
 mod rocks;
+mod turtle_shell;
 
+use super::cloth::{self, Cloth};
 use super::heightfield::{HeightMap, SIDES};
-use super::material::Material;
+use super::material::{Layer, Material, Paint, Part};
 use super::texture::Texture;
 use crate::error::{Error, Result};
 use rayon::prelude::*;
 
 /// The built-in materials.
-pub const NAMES: [&str; 2] = ["metal-rings", "rocks"];
+pub const NAMES: [&str; 8] = [
+    "basket-cloth",
+    "turtle-shell",
+    "victorian-fabric",
+    "rocks",
+    "metal-rings",
+    "insulation-foam",
+    "leather",
+    "twill",
+];
 
 /// F0 of the built-in dielectrics: refractive index 1.5.
 const SPECULAR: f32 = 0.04;
@@ -34,38 +48,72 @@ pub fn make(name: &str, side: usize, seed: u64) -> Result<Material> {
         let (least, most) = (SIDES.start(), SIDES.end());
         return Err(Error::config("field_side", format!("{side} is outside {least} to {most}")));
     }
-    match name {
+    let solid = |layer| Ok(vec![Part::Solid(layer)]);
+    let parts = match name {
         "metal-rings" => {
             let rings = metal_rings::MetalRings::new(seed);
-            Ok(paint(name, side, |x, y| rings.spot(x, y)))
+            solid(paint(side, |x, y| rings.spot(x, y)))
         }
         "rocks" => {
             let rocks = rocks::Rocks::new(seed);
-            Ok(paint(name, side, |x, y| rocks.spot(x, y)))
+            solid(paint(side, |x, y| rocks.spot(x, y)))
         }
+        "turtle-shell" => {
+            let shell = turtle_shell::TurtleShell::new(seed);
+            solid(paint(side, |x, y| shell.spot(x, y)))
+        }
+        "leather" => {
+            let leather = leather::Leather::new(seed);
+            solid(paint(side, |x, y| leather.spot(x, y)))
+        }
+        "insulation-foam" => {
+            let foam = insulation_foam::InsulationFoam::new(seed);
+            let skin = paint(side, |x, y| foam.sheet(x, y).0);
+            let opacity = (0..side * side).into_par_iter().map(|k| {
+                let [x, y] = centre(k, side);
+                [foam.sheet(x, y).1 as f32]
+            });
+            let opacity = texture(side, opacity.collect());
+            Ok(vec![Part::Solid(paint(side, |x, y| foam.spot(x, y))), Part::Sheet(skin, opacity)])
+        }
+        "basket-cloth" | "twill" | "victorian-fabric" => Ok(woven(cloth::make(name, seed)?)),
         _ => Err(Error::usage(format!("{name}: built-in materials are {}", NAMES.join(", ")))),
-    }
+    }?;
+    Ok(Material { name: name.into(), parts, height_range: None, notes: Vec::new() })
 }
 
-fn paint(name: &str, side: usize, spot: impl Fn(f64, f64) -> Spot + Sync) -> Material {
+/// Fibres over their lining.
+fn woven(cloth: Cloth) -> Vec<Part> {
+    let height = HeightMap { height: 2, width: 2, values: vec![cloth.base_height as f32; 4] };
+    let lining = Paint::plain(cloth.base_colour, cloth.base_roughness, SPECULAR);
+    vec![Part::Fibres(cloth.curves, cloth.looks), Part::Solid(Layer { height, paint: lining })]
+}
+
+/// Centre of texel `k`, row by row.
+fn centre(k: usize, side: usize) -> [f64; 2] {
+    [k % side, k / side].map(|index| (index as f64 + 0.5) / side as f64)
+}
+
+/// A layer that says everywhere what `spot` says.
+fn paint(side: usize, spot: impl Fn(f64, f64) -> Spot + Sync) -> Layer {
     let spots: Vec<Spot> = (0..side * side)
         .into_par_iter()
-        .map(|k| spot(((k % side) as f64 + 0.5) / side as f64, ((k / side) as f64 + 0.5) / side as f64))
+        .map(|k| {
+            let [x, y] = centre(k, side);
+            spot(x, y)
+        })
         .collect();
     let channel = |value: fn(&Spot) -> f64| texture(side, spots.iter().map(|s| [value(s) as f32]).collect());
-    Material {
-        name: name.to_string(),
-        height: HeightMap {
-            height: side,
-            width: side,
-            values: spots.iter().map(|s| s.height as f32).collect(),
-        },
+    let height =
+        HeightMap { height: side, width: side, values: spots.iter().map(|s| s.height as f32).collect() };
+    let paint = Paint {
         base_colour: texture(side, spots.iter().map(|s| s.base_colour.map(|c| c as f32)).collect()),
         roughness: channel(|s| s.roughness),
         metalness: channel(|s| s.metalness),
         specular: Texture::constant([SPECULAR]),
-        notes: Vec::new(),
-    }
+        normal: None,
+    };
+    Layer { height, paint }
 }
 
 /// One texel for each position of the tile, clamped to what shading allows.

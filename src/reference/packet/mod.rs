@@ -1,0 +1,116 @@
+//! Many rays on a heightfield at once.
+
+mod ceiling;
+mod ray;
+#[cfg(test)]
+mod tests;
+mod walk;
+
+use super::heightfield::Heightfield;
+use super::raycast::Hit;
+use crate::error::Result;
+use crate::kernels::simd::{Isa, Simd, Work, dispatch};
+use ceiling::Ceiling;
+use ray::{Meetings, Rays};
+use walk::{GROUP, Steps};
+
+/// A heightfield with what packets of rays need besides.
+#[derive(Clone, Debug)]
+pub struct Tracer {
+    field: Heightfield,
+    ceiling: Ceiling,
+    isa: Isa,
+}
+
+impl Tracer {
+    /// Prepares a field.
+    pub fn new(field: Heightfield) -> Result<Self> {
+        Ok(Self::with_isa(field, Isa::chosen()?))
+    }
+
+    /// Prepares a field for an instruction set.
+    pub fn with_isa(field: Heightfield, isa: Isa) -> Self {
+        Self { ceiling: Ceiling::new(&field), field, isa }
+    }
+
+    /// The field.
+    pub fn field(&self) -> &Heightfield {
+        &self.field
+    }
+
+    /// [`Heightfield::intersect`] for many rays of one direction.
+    pub fn intersect_packet(&self, origins: &[[f64; 3]], direction: [f64; 3], hits: &mut Vec<Option<Hit>>) {
+        hits.clear();
+        hits.resize(origins.len(), None);
+        let ray = |k: usize| (origins[k], direction);
+        let found = |k: usize, meetings: &Meetings, lane: usize| hits[k] = Some(meetings.hit(lane));
+        dispatch(self.isa, Trace::<_, _, true> { tracer: self, count: origins.len(), ray, found });
+    }
+
+    /// [`Heightfield::occluded`] for many rays of one direction.
+    pub fn occluded_packet(&self, departures: &[[f64; 3]], direction: [f64; 3], blocked: &mut Vec<bool>) {
+        blocked.clear();
+        blocked.resize(departures.len(), false);
+        let ray = |k: usize| (departures[k], direction);
+        let found = |k: usize, _: &Meetings, _: usize| blocked[k] = true;
+        dispatch(self.isa, Trace::<_, _, false> { tracer: self, count: departures.len(), ray, found });
+    }
+}
+
+/// Follows rays and tells which meet the surface.
+struct Trace<'a, R, F, const NORMALS: bool> {
+    tracer: &'a Tracer,
+    count: usize,
+    ray: R,
+    found: F,
+}
+
+const ALL: u32 = ((1_u64 << GROUP) - 1) as u32;
+
+impl<R: Fn(usize) -> ([f64; 3], [f64; 3]), F: FnMut(usize, &Meetings, usize), const NORMALS: bool> Work for Trace<'_, R, F, NORMALS> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(mut self, s: S) {
+        let field = &self.tracer.field;
+        let ceiling = &self.tracer.ceiling;
+        let mut steps = Steps::default();
+        let mut rays = Rays::default();
+        let mut meetings = Meetings::default();
+        for first in (0..self.count).step_by(GROUP) {
+            let n = GROUP.min(self.count - first);
+            for k in 0..GROUP {
+                let (origin, direction) = (self.ray)(first + k.min(n - 1));
+                rays.set(k, origin, direction);
+            }
+            let mut live = rays.start(field, (1_u32 << ceiling.top) as f32, &mut steps) & (ALL >> (GROUP - n));
+            while live != 0 {
+                let mut held = 0;
+                for at in (0..GROUP).step_by(S::LANES) {
+                    let stopped = walk::walk(s, ceiling, &mut steps, at, !live >> at);
+                    held |= (stopped.held & ((1_u64 << S::LANES) - 1) as u32) << at;
+                }
+                held &= live;
+                for k in 0..GROUP {
+                    if (live & !held) >> k & 1 == 1 && !rays.next_tile(field, k, &mut steps) {
+                        live &= !(1 << k);
+                    }
+                }
+                if held == 0 {
+                    continue;
+                }
+                rays.meet::<NORMALS>(field, &steps, &mut meetings);
+                for k in 0..GROUP {
+                    if held >> k & 1 == 1 {
+                        if meetings.met[k] {
+                            (self.found)(first + k, &meetings, k);
+                            live &= !(1 << k);
+                        } else {
+                            steps.pass.0[k] = 1.0;
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
