@@ -3,7 +3,7 @@
 //! ```text
 //! query ─ what is asked and answered; the conventions
 //!   │
-//! reference ─ ground truth: a displaced surface, its shading, its light
+//! reference ─ ground truth: displaced layers, meshes and fibres, their shading, their light
 //!   │
 //! dataset ─ blocks of queries with their answers: generated, stored, streamed
 //!   │            kernels ─ loops on slices
@@ -42,6 +42,7 @@ pub mod query;
 pub mod random;
 pub mod reference;
 pub mod report;
+pub mod srgb;
 pub mod trainer;
 
 pub use error::{Error, Result};

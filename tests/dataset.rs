@@ -672,7 +672,7 @@ fn a_bad_source_or_configuration_is_named() {
         ("block_side", GenerateConfig { block_side: 12, ..small() }),
         ("spp", GenerateConfig { spp: 0, ..small() }),
         ("regime", GenerateConfig { regime: Regime::Slices(1), ..small() }),
-        ("samples", GenerateConfig { regime: Regime::Slices(0), samples: 2000, ..small() }),
+        ("samples", GenerateConfig { regime: Regime::Slices(0), samples: 1200, ..small() }),
         ("grazing_floor", GenerateConfig { grazing_floor: -0.1, ..small() }),
         ("lights[1]", GenerateConfig { lights: vec![[0.0, 0.0], [91.0, 0.0]], ..small() }),
         ("noise", GenerateConfig { noise: Some(0.0), ..small() }),

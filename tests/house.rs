@@ -7,7 +7,7 @@ use std::process::Command;
 
 /// What each module of `src/` may import besides itself and [`ANYWHERE`]. `export` is the exporter's crate but for its
 /// `config`, which is our `config`'s own ground. A module that is missing here fails.
-const FLOW: [(&str, &[&str]); 20] = [
+const FLOW: [(&str, &[&str]); 21] = [
     ("error", &["export"]),
     ("config", &[]),
     ("query", &["error"]),
@@ -15,10 +15,12 @@ const FLOW: [(&str, &[&str]); 20] = [
     // An instruction set that the machine has not is an error of the user's.
     ("kernels", &["error"]),
     ("engine", &["query", "kernels", "dataset", "export"]),
-    ("metrics", &[]),
-    ("reference", &["query", "random"]),
+    ("srgb", &[]),
+    ("metrics", &["srgb"]),
+    // Packets of rays run on the instruction sets of the kernels.
+    ("reference", &["query", "random", "kernels", "srgb"]),
     // Files appear whole by the exporter's one routine, and the measure of the values is the checkpoint's.
-    ("dataset", &["query", "reference", "random", "export"]),
+    ("dataset", &["query", "reference", "random", "srgb", "export"]),
     // Initial values are random; variables leave as the checkpoint's tensors.
     ("model", &["query", "kernels", "random", "export"]),
     ("loss", &[]),
@@ -44,7 +46,7 @@ const FLOW: [(&str, &[&str]); 20] = [
     ("evaluate", &["query", "metrics", "dataset", "random"]),
     ("onnx_material", &["query"]),
     ("golden", &["model", "query", "random", "export"]),
-    ("report", &["query", "metrics"]),
+    ("report", &["query", "metrics", "srgb"]),
     ("cli", EVERYTHING),
 ];
 const EVERYTHING: &[&str] = &[
@@ -70,7 +72,7 @@ const EVERYTHING: &[&str] = &[
 /// What every module may import but those of [`BARE`].
 const ANYWHERE: [&str; 2] = ["error", "config"];
 /// Modules that import what [`FLOW`] lists and nothing else: others could be built on them alone.
-const BARE: [&str; 4] = ["query", "random", "kernels", "metrics"];
+const BARE: [&str; 5] = ["query", "random", "kernels", "metrics", "srgb"];
 /// Where candle may be mentioned; everything else works without it.
 const CANDLE: [&str; 8] =
     ["error.rs", "kernels/custom_op.rs", "model/", "loss/", "trainer/", "inference.rs", "golden.rs", "cli/"];

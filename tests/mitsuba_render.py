@@ -247,24 +247,36 @@ def unit(w):
     return np.array([w[0], w[1], math.sqrt(1.0 - w[0] ** 2 - w[1] ** 2)])
 
 
+def light(wi):
+    return {
+        "type": "directional",
+        "direction": (-unit(wi)).tolist(),
+        "irradiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]},
+    }
+
+
 def render(scene, folder):
     parts = []
     for part in scene["parts"]:
         parts.append(mesh(part, scene["repeat"]) if part["kind"] == "mesh" else fibres(part, scene["repeat"], folder))
-    shapes = {f"part{k}": part if not isinstance(part, dict) else mi.load_dict(part) for k, part in enumerate(parts)}
-    for view in scene["views"]:
-        light = {
-            "type": "directional",
-            "direction": (-unit(view["wi"])).tolist(),
-            "irradiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]},
+    world = mi.load_dict(
+        {
+            "type": "scene",
+            "light": light(scene["views"][0]["wi"]),
+            **{f"part{k}": part for k, part in enumerate(parts)},
         }
-        eye = sensor(unit(view["wo"]), scene["side"], scene["height_range"])
-        world = mi.load_dict({"type": "scene", "light": light, "sensor": eye, **shapes})
+    )
+    parameters = mi.traverse(world)
+    for view in scene["views"]:
+        # The geometry stays: its tree is built once.
+        parameters["light.to_world"] = mi.traverse(mi.load_dict(light(view["wi"])))["to_world"]
+        parameters.update()
+        eye = mi.load_dict(sensor(unit(view["wo"]), scene["side"], scene["height_range"]))
         # A depth of 1 is light seen directly, and none is here; Russian roulette would only add noise.
         depth = view["bounces"] + 2
         integrator = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": depth + 1})
         renders = [
-            np.array(mi.render(world, integrator=integrator, spp=scene["spp"], seed=seed), np.float64)
+            np.array(mi.render(world, sensor=eye, integrator=integrator, spp=scene["spp"], seed=seed), np.float64)
             for seed in range(1, scene["renders"] + 1)
         ]
         variance = np.var(renders, axis=0, ddof=1).mean(axis=2) / len(renders)

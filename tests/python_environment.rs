@@ -20,9 +20,14 @@ pub struct Python {
 
 /// The environment of [`REQUIREMENTS`]; it is made now if there is none. Panics with what is missing.
 pub fn environment() -> Python {
+    named("python-environment", &REQUIREMENTS).unwrap_or_else(|problem| panic!("{problem}"))
+}
+
+/// The environment of `requirements` in the build folder's folder `name`, or what keeps it from being made.
+pub fn named(name: &str, requirements: &[&str]) -> Result<Python, String> {
     let interpreter = std::env::var_os(INTERPRETER).unwrap_or_else(|| "python3".into());
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).with_file_name("python-environment");
-    prepare(&folder, &interpreter, &REQUIREMENTS).unwrap_or_else(|problem| panic!("{problem}"))
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).with_file_name(name);
+    prepare(&folder, &interpreter, requirements)
 }
 
 impl Python {

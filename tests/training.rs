@@ -3,7 +3,7 @@
 use candle_core::Device;
 use neumip::checkpoint::{self, RunFolder};
 use neumip::config::{Budget, Config, EngineKind, Remap, Smoothing, Stage, StagePlan, Term, TermKind};
-use neumip::dataset::{Dataset, Existing, GenerateConfig, Source, SplitName, generate};
+use neumip::dataset::{Answers, Dataset, Existing, GenerateConfig, Source, SplitName, generate};
 use neumip::error::{Error, Result};
 use neumip::evaluate::error_table;
 use neumip::model::NeuralMaterial;
@@ -31,7 +31,7 @@ impl Source for Waves {
         None
     }
 
-    fn measure(&self, q: &QueryBuffer, _: usize, _: u64, _: u64) -> Result<(Vec<[f32; 3]>, Vec<f32>)> {
+    fn measure(&self, q: &QueryBuffer, _: usize, _: u64, _: u64) -> Result<Answers> {
         let answer = |k: usize| {
             let wave = (std::f32::consts::TAU * q.u[k][0]).sin() * (std::f32::consts::TAU * q.u[k][1]).sin();
             let tint = 0.5 + 0.5 * wave * (-0.3 * q.level[k]).exp2();
@@ -40,7 +40,7 @@ impl Source for Waves {
             let lobe = 0.3 * aligned.max(0.0).powi(4);
             [0, 1, 2].map(|c| wi[2] * (0.2 + 0.2 * c as f32 * tint + lobe * (1.0 - tint)))
         };
-        Ok(((0..q.len()).map(answer).collect(), vec![0.0; q.len()]))
+        Ok(Answers { rgb: (0..q.len()).map(answer).collect(), variance: vec![0.0; q.len()], rays: 0 })
     }
 
     fn description(&self) -> serde_json::Value {

@@ -3,6 +3,7 @@
 use super::console::Console;
 use super::evaluate::{By, Evaluation};
 use super::export::Written;
+use super::surface::Surface;
 use super::{evaluate, export, generate, train};
 use crate::config::{Budget, Config};
 use crate::dataset::{Block, Dataset, Existing, GenerateConfig, SplitName};
@@ -72,6 +73,8 @@ pub struct Demo {
     /// Seed of data, weights and order.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    #[command(flatten)]
+    surface: Surface,
     /// Go on where an interrupted demo stopped.
     #[arg(long, conflicts_with = "force")]
     resume: bool,
@@ -97,7 +100,7 @@ impl Demo {
         super::check_json(self.json.as_deref())?;
         let clock = Instant::now();
         let config = self.generation();
-        let reference = generate::reference(&self.material, 0, &config)?;
+        let reference = generate::reference(&self.material, &self.surface, &config)?;
         for preset in PRESETS {
             self.config(preset)?.train.validate()?;
         }
@@ -276,8 +279,8 @@ impl Demo {
     fn commands(&self) -> Vec<String> {
         let out = self.out.display();
         let mut commands = vec![format!(
-            "neumip demo --material {} --resolution {} --steps {} --batch {} --seed {} --out {out}",
-            self.material, self.resolution, self.steps, self.batch, self.seed
+            "neumip demo --material {} --resolution {} --bounces {} --steps {} --batch {} --seed {} --out {out}",
+            self.material, self.resolution, self.surface.bounces, self.steps, self.batch, self.seed
         )];
         let runs: Vec<String> = PRESETS.iter().map(|p| format!("{out}/{p}")).collect();
         commands.push(format!("neumip evaluate {} --data {out}/data", runs.join(" ")));

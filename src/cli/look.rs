@@ -15,7 +15,8 @@ use std::time::Instant;
 /// Queries between two looks at the clock.
 const CHUNK: usize = 1 << 13;
 /// The pictures of a row: light (tilt, pan in degrees) and tiles a side of the viewed plane.
-const VIEWS: [([f64; 2], usize); 4] = [([0.0, 0.0], 1), ([45.0, 30.0], 1), ([60.0, 90.0], 1), ([45.0, 30.0], 3)];
+const VIEWS: [([f64; 2], usize); 4] =
+    [([0.0, 0.0], 1), ([45.0, 30.0], 1), ([60.0, 90.0], 1), ([45.0, 30.0], 3)];
 
 /// Render a contact sheet of materials: a perspective plane under three lights, and three tiles a side.
 #[derive(Debug, Args)]
@@ -66,7 +67,12 @@ impl Look {
             names.iter().map(|name| self.surface.open(name, side)).collect::<Result<Vec<_>>>()?;
         let rows = references.iter().map(|r| self.row(r, console)).collect::<Result<Vec<_>>>()?;
         write_whole(&self.out, &picture::png(&picture::sheet(&rows)?)?)?;
-        console.say(format!("{}: {} materials, {} pictures each", self.out.display(), rows.len(), VIEWS.len()));
+        console.say(format!(
+            "{}: {} materials, {} pictures each",
+            self.out.display(),
+            rows.len(),
+            VIEWS.len()
+        ));
         Ok(())
     }
 

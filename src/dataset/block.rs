@@ -300,7 +300,12 @@ impl Block {
             let start = y * self.side() + column * side;
             rgb.extend_from_slice(&self.rgb[start..start + side]);
         }
-        Self { layout: self.layout.piece(side, row, column, resolution), rgb, noise: self.noise, spp: self.spp }
+        Self {
+            layout: self.layout.piece(side, row, column, resolution),
+            rgb,
+            noise: self.noise,
+            spp: self.spp,
+        }
     }
 }
 

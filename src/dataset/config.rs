@@ -40,8 +40,8 @@ pub struct GenerateConfig {
     pub spp: usize,
     /// Sub-samples of every other sample.
     pub held_out_spp: usize,
-    /// The noise (square root of the mean variance) that a block's answers may have: more sub-samples are taken until
-    /// it holds.
+    /// The noise (square root of the mean variance) that the answers of a block or view may have: more sub-samples are
+    /// taken until it holds. Blocks of less than 32 x 32 are too small to judge it without bias.
     #[serde(default)]
     pub noise: Option<f32>,
     /// Where `noise` is given, the most sub-samples of a sample.

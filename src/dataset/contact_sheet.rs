@@ -10,6 +10,7 @@ use super::{
 use crate::{
     error::{Error, Result},
     query::RgbImage,
+    srgb,
 };
 use image::{
     ExtendedColorType, ImageEncoder, Rgb,
@@ -54,7 +55,8 @@ pub fn contact_sheet(data: &Dataset) -> Result<Vec<u8>> {
     for side in SIDES {
         sheet.clear();
         let picture = draw(&rows, side, scale);
-        let encoder = PngEncoder::new_with_quality(&mut sheet, CompressionType::Best, FilterType::Adaptive);
+        let encoder =
+            PngEncoder::new_with_quality(&mut sheet, CompressionType::Default, FilterType::Adaptive);
         encoder
             .write_image(picture.as_raw(), picture.width(), picture.height(), ExtendedColorType::Rgb8)
             .map_err(|e| Error::file(&path, format!("contact sheet cannot be encoded: {e}")))?;
@@ -144,7 +146,7 @@ fn draw(rows: &[Row], side: usize, scale: f32) -> image::RgbImage {
         for (k, image) in row.images.iter().enumerate() {
             for (at, value) in fit(image, side).into_iter().enumerate() {
                 let (x, y) = (GAP + k * (side + GAP) + at % side, top + at / side);
-                sheet.put_pixel(x as u32, y as u32, Rgb(value.map(|v| encode(v * scale))));
+                sheet.put_pixel(x as u32, y as u32, Rgb(value.map(|v| srgb::encode(v * scale))));
             }
         }
         top += side + GAP;
@@ -156,7 +158,8 @@ fn draw(rows: &[Row], side: usize, scale: f32) -> image::RgbImage {
 fn fit(image: &RgbImage, side: usize) -> Vec<[f32; 3]> {
     // Pixels of the image that a pixel covers along an axis, with their parts.
     let parts = |k: usize, length: usize| {
-        let (start, end) = (k as f64 * length as f64 / side as f64, (k + 1) as f64 * length as f64 / side as f64);
+        let (start, end) =
+            (k as f64 * length as f64 / side as f64, (k + 1) as f64 * length as f64 / side as f64);
         let last = (end.ceil() as usize).min(length);
         (start.floor() as usize..last).map(move |i| {
             let part = (end.min((i + 1) as f64) - start.max(i as f64)).max(0.0);
@@ -179,13 +182,6 @@ fn fit(image: &RgbImage, side: usize) -> Vec<[f32; 3]> {
     out
 }
 
-/// The sRGB transfer function (IEC 61966-2-1), clamped, in 8 bits.
-fn encode(linear: f32) -> u8 {
-    let x = linear.clamp(0.0, 1.0);
-    let encoded = if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 };
-    (encoded * 255.0).round() as u8
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -206,7 +202,9 @@ mod tests {
             };
             let mut fitted = fit(&image, side);
             let off = |pixels: &[[f32; 3]]| {
-                let each = (0..3).map(|c| (mean(pixels, c) - mean(&image.pixels, c)).abs() / mean(&image.pixels, c).max(1.0));
+                let each = (0..3).map(|c| {
+                    (mean(pixels, c) - mean(&image.pixels, c)).abs() / mean(&image.pixels, c).max(1.0)
+                });
                 each.fold(0.0, f64::max)
             };
             assert!(off(&fitted) < ROUNDED);

@@ -30,7 +30,7 @@ impl Sequence {
     /// The pair of directions and the corner at place `ordinal`.
     pub(super) fn patch(&self, ordinal: u64) -> Patch {
         // After the last point the next scramble of the same points goes on.
-        let index = self.part << SCRAMBLES | ordinal / LENGTH;
+        let index = (self.part << SCRAMBLES) | (ordinal / LENGTH);
         let scramble = Random::sub_stream(self.seed, Stream::Patches, self.split, index).next_u32();
         let point = (ordinal % LENGTH) as u32;
         let [light, light_turn, view, view_turn] = sobol_burley::sample_4d(point, 0, scramble);

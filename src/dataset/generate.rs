@@ -225,13 +225,13 @@ impl<'a> Work<'a> {
             spp: self.config.held_out_spp,
             first: (FIRST_VIEW + index as u64) * SAMPLES_OF_A_SPLIT,
             width: size,
-            lines: 1,
-            groups: size,
+            lines: size,
+            groups: 1,
         };
         let part = |rows: std::ops::Range<usize>| queries.range(rows.start * size, rows.end * size);
         let (pixels, quality) = task.run(&part, meter)?;
-        let variance = quality.iter().map(|line| line.variance).sum::<f64>() / size as f64;
-        Ok((queries.clone(), RgbImage { height: size, width: size, pixels }, variance as f32))
+        let variance = quality.first().map_or(0.0, |picture| picture.variance as f32);
+        Ok((queries, RgbImage { height: size, width: size, pixels }, variance))
     }
 }
 

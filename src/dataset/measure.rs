@@ -1,12 +1,17 @@
 //! Asking a ground truth for many answers: in chunks, checked, and until they are as quiet as they should be.
 //!
-//! Answers come in groups (a block, a line of a view), which are whole lines of equal length. A group that is noisier
-//! than asked for is measured again with as many sub-samples as it had, and the two estimates are averaged by their
-//! sub-samples; so on until the noise holds or the most sub-samples are reached. Each round has random numbers of its
-//! own. Stopping by the variance favours the estimates that look quiet; it looks at a whole group, so that little of
-//! that is left.
+//! Answers come in groups (a block, a view), which are whole lines of equal length. A group that is noisier than asked
+//! for is measured again with as many sub-samples as it had, and the two estimates are averaged by their sub-samples;
+//! so on until the noise holds or the most sub-samples are reached. Each round has random numbers of its own.
+//!
+//! Stopping by the variance favours estimates that look quiet, which are too dark where light is rare. Of answers that
+//! are 0 in 49 of 50 sub-samples, blocks of 8 x 8 lost up to 5 %; blocks of 32 x 32 less than could be measured (0.2 %).
 
-use super::{config::GenerateConfig, progress::Meter, source::{Answers, Source}};
+use super::{
+    config::GenerateConfig,
+    progress::Meter,
+    source::{Answers, Source},
+};
 use crate::{
     error::{Error, Result},
     query::QueryBuffer,
@@ -99,9 +104,8 @@ impl Task<'_> {
                 self.round(lines, more, seed, queries, &mut |start, answers| {
                     self.spread(quality, start, &answers.variance, weight * weight);
                     for (old, new) in rgb[start * self.width..].iter_mut().zip(answers.rgb) {
-                        let mean = |c: usize| {
-                            f64::from(old[c]) + weight * (f64::from(new[c]) - f64::from(old[c]))
-                        };
+                        let mean =
+                            |c: usize| f64::from(old[c]) + weight * (f64::from(new[c]) - f64::from(old[c]));
                         *old = [0, 1, 2].map(|c| mean(c) as f32);
                     }
                     meter.advance(0, answers.rays);
@@ -133,8 +137,7 @@ impl Task<'_> {
     ) -> Result<()> {
         for start in lines.clone().step_by(self.chunk()) {
             let asked = queries(start..(start + self.chunk()).min(lines.end));
-            let answers =
-                self.source.measure(&asked, spp, seed, self.first + (start * self.width) as u64)?;
+            let answers = self.source.measure(&asked, spp, seed, self.first + (start * self.width) as u64)?;
             check(self.source, &asked, &answers)?;
             take(start, answers)?;
         }

@@ -24,7 +24,8 @@ pub(crate) fn check_same(found: &Manifest, wanted: &Manifest, path: &Path, appen
     let parts = |config: &Option<GenerateConfig>| serde_json::to_value(config).map_err(failed);
     let (of_wanted, of_found) = (parts(&wanted.generation)?, parts(&found.generation)?);
     let fields = of_wanted.as_object().into_iter().flatten();
-    let generation = fields.map(|(field, value)| (format!("generation.{field}"), of_found.get(field) == Some(value)));
+    let generation =
+        fields.map(|(field, value)| (format!("generation.{field}"), of_found.get(field) == Some(value)));
     let same = [
         ("generator", wanted.generator == found.generator),
         ("material", wanted.material == found.material),

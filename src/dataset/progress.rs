@@ -25,11 +25,7 @@ pub(crate) struct Meter<'a> {
 
 impl<'a> Meter<'a> {
     /// A meter that starts with `done` of `total` samples.
-    pub(crate) fn new(
-        report: &'a mut dyn FnMut(Progress) -> ControlFlow<()>,
-        done: u64,
-        total: u64,
-    ) -> Self {
+    pub(crate) fn new(report: &'a mut dyn FnMut(Progress) -> ControlFlow<()>, done: u64, total: u64) -> Self {
         Self { report, now: Progress { split: "views", done, total, rays: 0 }, stopped: false }
     }
 

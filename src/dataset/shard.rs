@@ -200,7 +200,9 @@ impl ShardWriter {
                 let problem = "is there already: resume the shard or force its replacement";
                 return Err(Error::file(path, problem));
             }
-            (true, Existing::Resume) => made = Description { shard, ..Description::read(&path, &made.dataset)? },
+            (true, Existing::Resume) => {
+                made = Description { shard, ..Description::read(&path, &made.dataset)? }
+            }
             // Other shards may be at work here: only its own list goes, and its files are written over.
             _ => {}
         }
@@ -213,7 +215,8 @@ impl ShardWriter {
     /// True if a file is there, whole.
     pub(crate) fn has_file(&self, name: SplitName, index: usize) -> bool {
         self.made.files.get(&file_name(name, index)).is_some_and(|file| {
-            let is = |ending: &str, bytes| check_bytes(&self.root.join(format!("{}.{ending}", file.name)), bytes);
+            let is =
+                |ending: &str, bytes| check_bytes(&self.root.join(format!("{}.{ending}", file.name)), bytes);
             is("exr", file.frame_bytes).and(is("safetensors", file.table_bytes)).is_ok()
         })
     }
@@ -231,7 +234,13 @@ impl ShardWriter {
     }
 
     /// Writes blocks as a file.
-    pub(crate) fn put_file(&mut self, name: SplitName, index: usize, side: usize, blocks: &[Block]) -> Result<()> {
+    pub(crate) fn put_file(
+        &mut self,
+        name: SplitName,
+        index: usize,
+        side: usize,
+        blocks: &[Block],
+    ) -> Result<()> {
         let noise = self.made.dataset.generation.as_ref().and_then(|config| config.noise);
         let info = write_blocks(&self.root, name, index, side, blocks, noise)?;
         self.made.files.insert(info.name.clone(), info);

@@ -110,8 +110,7 @@ pub(crate) fn read_table(
     let noise = words("noise", Dtype::F32, &[blocks])?;
     let first = words("first", Dtype::U32, &[blocks])?;
     let (wi, wo, corner) = (vectors("wi")?, vectors("wo")?, vectors("corner")?);
-    let spp =
-        if tensors.tensor("spp").is_ok() { Some(words("spp", Dtype::U32, &[blocks])?) } else { None };
+    let spp = if tensors.tensor("spp").is_ok() { Some(words("spp", Dtype::U32, &[blocks])?) } else { None };
 
     let mut start = 0;
     let mut out = Vec::with_capacity(blocks);

@@ -85,7 +85,7 @@ impl Writer {
         } else if shards && existing == Existing::Refuse {
             let problem = "holds shards of a dataset: resume to collect them, or force its replacement";
             return Err(Error::file(root, problem));
-        } else if !all(&is_part) && !(shards && existing == Existing::Resume) {
+        } else if !(all(&is_part) || shards && existing == Existing::Resume) {
             return Err(Error::file(root, "is not empty and not a dataset: name another folder"));
         }
         if existing == Existing::Resume {

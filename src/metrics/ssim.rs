@@ -1,5 +1,6 @@
 //! Structural similarity (Wang et al. 2004) of sRGB-encoded luma, by `image-compare`: windows of 8 x 8.
 
+use crate::srgb;
 use image::{GrayImage, Luma};
 use image_compare::{Algorithm, gray_similarity_structure};
 
@@ -21,9 +22,7 @@ pub fn ssim(height: usize, width: usize, answer: &[[f32; 3]], reference: &[[f32;
 }
 
 fn luma(rgb: [f32; 3]) -> u8 {
-    let linear = (0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2]).clamp(0.0, 1.0);
-    let encoded = if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
-    (encoded * 255.0).round() as u8
+    srgb::encode(0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2])
 }
 
 #[cfg(test)]

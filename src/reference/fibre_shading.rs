@@ -34,7 +34,8 @@ pub const IORS: RangeInclusive<f32> = 1.05..=3.0;
 /// Angles of the scales in degrees. Hair has 2 to 4; the third lobe turns by four times as much.
 pub const TILTS: RangeInclusive<f32> = -15.0..=15.0;
 
-/// Least colour. Absorption goes to infinity as the colour goes to 0; here less than 1e-4 passes through the middle of a fibre.
+/// Least colour. Absorption goes to infinity as the colour goes to 0; here less than 1e-4 passes through the middle of
+/// a fibre.
 const MIN_COLOUR: f32 = 1e-6;
 
 /// Below exp(-DARK) a lobe is 0: numbers near the least of f32 are slow, and nothing shows there.
@@ -54,7 +55,7 @@ pub struct FibreLook {
     pub azimuthal_roughness: f32,
     /// Index of refraction over that of the air, in [`IORS`].
     pub ior: f32,
-    /// Angle of the scales in degrees, in [`TILTS`]; positive lifts them towards +x. 0 for textile fibres.
+    /// Angle of the scales in degrees, in [`TILTS`]; positive turns R by twice as much to +x. 0 for textile fibres.
     pub tilt: f32,
 }
 
@@ -97,7 +98,8 @@ pub struct FibrePoint<'a> {
     centre: [f32; LOBES - 1],
 }
 
-/// h of a point of a round fibre whose normal is z: minus the y of `wo` as seen along the fibre; 0 if `wo` runs along it.
+/// h of a point of a round fibre whose normal is z: minus the y of `wo` as seen along the fibre; 0 if `wo` runs along
+/// it.
 pub fn offset(wo: [f32; 3]) -> f32 {
     let across = hypot(wo[1], wo[2]);
     if across > 0.0 { -wo[1] / across } else { 0.0 }
@@ -159,8 +161,8 @@ impl FibreBsdf {
         let chord = 2.0 * cos_gamma_t * self.ior / slant;
         let reflected = fresnel(cos_o * ((1.0 - h) * (1.0 + h)).sqrt(), self.ior);
         let mut attenuation = [[0.0; 3]; LOBES];
-        for c in 0..3 {
-            let left = (-self.absorption[c] * chord).exp();
+        for (c, absorption) in self.absorption.into_iter().enumerate() {
+            let left = (-absorption * chord).exp();
             let inside = left * reflected;
             let tt = (1.0 - reflected) * (1.0 - reflected) * left;
             // The geometric series of all that follows; (1 - F) / (1 - F T) stays 1 where both are 0.
@@ -298,7 +300,7 @@ fn bessel(x: f32) -> (f32, f32) {
     const SMALL: [f32; 7] =
         [1.0, 3.515_622_9, 3.089_942_4, 1.206_749_2, 0.265_973_2, 0.036_076_8, 0.004_581_3];
     const LARGE: [f32; 9] = [
-        0.398_942_28,
+        0.398_942_3,
         0.013_285_92,
         0.002_253_19,
         -0.001_575_65,

@@ -67,13 +67,17 @@ fn read_png(path: &Path) -> Result<MapImage> {
     let image = reader.decode().map_err(|e| unreadable(&e))?;
     // 16 bits hold 8-bit values exactly (times 257), so one path serves both depths.
     let grey = matches!(image.color(), ColorType::L8 | ColorType::L16 | ColorType::La8 | ColorType::La16);
-    let value = |v: u16| (f64::from(v) / 65535.0) as f32;
     let texels = if grey {
-        grey_values(image).map(|v| [value(v); 3]).collect()
+        grey_values(image).map(|v| [png_value(v); 3]).collect()
     } else {
-        image.into_rgb16().pixels().map(|p| p.0.map(value)).collect()
+        image.into_rgb16().pixels().map(|p| p.0.map(png_value)).collect()
     };
     Ok(MapImage { width, height, texels, is_png: true })
+}
+
+/// What a PNG's 16 bits stand for.
+pub(super) fn png_value(v: u16) -> f32 {
+    (f64::from(v) / 65535.0) as f32
 }
 
 fn grey_values(image: DynamicImage) -> impl Iterator<Item = u16> {

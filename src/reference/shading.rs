@@ -32,7 +32,7 @@ pub struct Brdf {
 /// A direction drawn for a path.
 #[derive(Clone, Copy, Debug)]
 pub struct Sampled {
-    /// Unit vector above the surface, in the point's frame.
+    /// Unit vector in the point's frame; above the surface, or anywhere around a fibre.
     pub direction: [f32; 3],
     /// f cos / pdf.
     pub weight: [f32; 3],

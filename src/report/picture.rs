@@ -3,6 +3,7 @@
 use super::colour;
 use crate::error::{Error, Result};
 use crate::query::RgbImage;
+use crate::srgb;
 use base64::Engine;
 use image::{ImageFormat, Rgba, RgbaImage};
 use std::io::Cursor;
@@ -39,7 +40,7 @@ pub fn srgb(image: &RgbImage, stops: f32) -> Result<Picture> {
     from_pixels(image, |i| {
         let pixel = image.pixels[i];
         let finite = pixel.iter().all(|v| v.is_finite());
-        if finite { pixel.map(|v| colour::encode(v * scale)) } else { colour::INVALID }
+        if finite { pixel.map(|v| srgb::encode(v * scale)) } else { colour::INVALID }
     })
 }
 
@@ -177,7 +178,7 @@ mod tests {
         let decoded = image::load_from_memory(&png(&picture).unwrap()).unwrap().to_rgb8();
         assert_eq!(decoded, picture);
         assert_eq!(decoded.dimensions(), (5, 3));
-        assert_eq!(decoded.get_pixel(4, 2).0, [colour::encode(14.0 / 15.0), 188, 255]);
+        assert_eq!(decoded.get_pixel(4, 2).0, [crate::srgb::encode(14.0 / 15.0), 188, 255]);
         let uri = data_uri(&png(&picture).unwrap());
         let text = uri.strip_prefix("data:image/png;base64,").unwrap();
         assert_eq!(base64::engine::general_purpose::STANDARD.decode(text).unwrap(), png(&picture).unwrap());

@@ -52,12 +52,11 @@ fn what_shards_left_out_is_made() {
     // The third is stopped after two chunks; what it has is used too.
     let mut left = 2;
     let shard = Shard { index: 3, count: 3 };
-    let stopped =
-        generate_shard(&NOISY, &small(), shard, folder.path(), Existing::Refuse, &mut |progress| {
-            assert!(progress.done <= progress.total);
-            left -= 1;
-            if left == 0 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-        });
+    let stopped = generate_shard(&NOISY, &small(), shard, folder.path(), Existing::Refuse, &mut |progress| {
+        assert!(progress.done <= progress.total);
+        left -= 1;
+        if left == 0 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    });
     assert!(matches!(stopped, Err(Error::Interrupted(_))));
     // The collection is stopped and resumed as well.
     let mut first = None;
@@ -80,8 +79,8 @@ fn a_shard_is_resumed_and_replaced() {
     let before = contents(folder.path());
     let refused = make_shard(folder.path(), 1, 2, Existing::Refuse).unwrap_err();
     assert!(refused.to_string().contains("shard-1-of-2.json"), "{refused}");
-    std::fs::remove_file(folder.path().join("train-00000.exr")).unwrap();
-    std::fs::write(folder.path().join("validation-00000.exr"), "damaged").unwrap();
+    std::fs::remove_file(folder.path().join("train-00001.exr")).unwrap();
+    std::fs::write(folder.path().join("test-00000.exr"), "damaged").unwrap();
     make_shard(folder.path(), 1, 2, Existing::Resume).unwrap();
     assert!(contents(folder.path()) == before);
     make_shard(folder.path(), 1, 2, Existing::Replace).unwrap();
@@ -113,8 +112,8 @@ fn shards_of_something_else_are_refused() {
     let path = folder.path().join("shard-1-of-2.json");
     let text = String::from_utf8(whole["shard-1-of-2.json"].clone()).unwrap();
     for (from, to) in [
-        ("\"blocks\": 64", "\"blocks\": 9223372036854775807"),
-        ("\"name\": \"train-00000\"", "\"name\": \"../train-00000\""),
+        ("\"blocks\": 64", "\"blocks\": 4611686018427387904"),
+        ("\"name\": \"train-00001\"", "\"name\": \"../train-00001\""),
         ("\"frame_bytes\": ", "\"frame_bytes\": 1"),
         ("{", ""),
     ] {

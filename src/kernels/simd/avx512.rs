@@ -96,7 +96,9 @@ impl Simd for Avx512 {
     fn gather(self, from: &[f32], at: __m512i) -> __m512 {
         let last = super::last_index(from);
         // SAFETY: the token proves the instructions; no index exceeds the last one of the slice, unsigned.
-        unsafe { _mm512_i32gather_ps::<4>(_mm512_min_epu32(at, _mm512_set1_epi32(last)), from.as_ptr().cast()) }
+        unsafe {
+            _mm512_i32gather_ps::<4>(_mm512_min_epu32(at, _mm512_set1_epi32(last)), from.as_ptr().cast())
+        }
     }
     #[inline(always)]
     fn sums<const M: usize>(self, rows: &[__m512; M], out: &mut [f32; M]) {

@@ -140,7 +140,7 @@ impl InsulationFoam {
 
     /// The skin and its opacity: a hole where it is below 0.5. The skin lies above the foam everywhere.
     pub fn sheet(&self, x: f64, y: f64) -> (Spot, f64) {
-        let into = self.into_hole(x, y);
+        let into = self.hole_depth(x, y);
         let lumps = gradient(self.seed ^ 31, x, y, 5).abs() + 0.5 * gradient(self.seed ^ 33, x, y, 11).abs();
         let spots = octaves(self.seed ^ 32, x, y, 16, 3);
         let curl = smooth_step(-CURL_REACH, 0.0, into);
@@ -170,7 +170,7 @@ impl InsulationFoam {
     }
 
     /// How far a position is inside a hole of the skin, about in tile widths; below 0 outside.
-    fn into_hole(&self, x: f64, y: f64) -> f64 {
+    fn hole_depth(&self, x: f64, y: f64) -> f64 {
         let ragged = RAGGED * octaves(self.seed ^ 61, x, y, 7, 4);
         let inside = |b: &Bubble, part: f64| part * b.radius - b.towards[0].hypot(b.towards[1]);
         let torn = VOIDS.near(self.seed ^ 51, x, y).map(|b| inside(&b, HOLE)).fold(-1.0, f64::max) + ragged;
@@ -190,7 +190,7 @@ mod tests {
     use super::*;
     use rayon::prelude::*;
 
-    const SIDE: usize = 256;
+    const SIDE: usize = 192;
 
     fn grid<T: Send>(of: impl Fn(f64, f64) -> T + Sync) -> Vec<T> {
         let at = |k: usize| (k as f64 + 0.5) / SIDE as f64;

@@ -19,8 +19,8 @@ const GROUP_RISE: f64 = 0.0065;
 const GRAIN_SHOULDER: f64 = 0.26;
 const GROUP_SHOULDER: f64 = 0.16;
 /// Height that the hide waves about, and how high its waves are.
-const MIDDLE: f64 = -0.009;
-const WAVE: f64 = 0.019;
+const MIDDLE: f64 = -0.006;
+const WAVE: f64 = 0.0155;
 /// Depth of wrinkles and half their width in units of the noise whose zero lines they are.
 const WRINKLE: f64 = 0.010;
 const WRINKLE_WIDTH: f64 = 0.055;
@@ -67,7 +67,7 @@ impl Leather {
         let wrinkle = self.wrinkle(x, y);
         let pore = self.pore(x, y) * smooth_step(0.5, 0.9, pebble);
         let top = smooth_step(0.05, 0.6, pebble * mix(1.0, cushion, 0.7)) * (1.0 - 0.7 * wrinkle);
-        let dye = (0.5 + 0.35 * wave + 0.3 * (draw(2) - 0.5)).clamp(0.0, 1.0);
+        let dye = (0.5 + 0.35 * octaves(self.seed ^ 24, x, y, 4, 2) + 0.3 * (draw(2) - 0.5)).clamp(0.0, 1.0);
         let hidden = 1.0 - top * (1.0 - 0.7 * pore);
         let wear = 0.5 + 0.5 * gradient(self.seed ^ 14, x, y, 12);
         Spot {

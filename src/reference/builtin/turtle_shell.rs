@@ -113,10 +113,10 @@ mod tests {
 
     const SIDE: usize = 512;
 
-    fn spots(seed: u64) -> Vec<Spot> {
+    fn spots(seed: u64, side: usize) -> Vec<Spot> {
         let shell = TurtleShell::new(seed);
-        let at = |k: usize| (k as f64 + 0.5) / SIDE as f64;
-        (0..SIDE * SIDE).into_par_iter().map(|k| shell.spot(at(k % SIDE), at(k / SIDE))).collect()
+        let at = |k: usize| (k as f64 + 0.5) / side as f64;
+        (0..side * side).into_par_iter().map(|k| shell.spot(at(k % side), at(k / side))).collect()
     }
 
     fn share(spots: &[Spot], is: impl Fn(&Spot) -> bool) -> f64 {
@@ -143,7 +143,7 @@ mod tests {
 
     #[test]
     fn every_value_is_one_that_shading_allows() {
-        for spots in [spots(0), spots(1)] {
+        for spots in [spots(0, 128), spots(1, 128)] {
             for s in &spots {
                 let values = [s.base_colour[0], s.base_colour[1], s.base_colour[2], s.roughness, s.metalness];
                 assert!(s.height.abs() < 0.1 && values.iter().all(|v| (0.0..=1.0).contains(v)));
@@ -173,7 +173,7 @@ mod tests {
 
     #[test]
     fn horn_is_glossy_grooves_are_matte_and_highlights_are_sharp_and_small() {
-        let spots = spots(0);
+        let spots = spots(0, SIDE);
         assert!((0.6..0.9).contains(&share(&spots, |s| s.roughness < 0.31)));
         assert!((0.05..0.2).contains(&share(&spots, |s| s.roughness > 0.7)));
         assert!((0.25..0.6).contains(&share(&spots, |s| s.base_colour[0] > 0.2)));

@@ -1,17 +1,19 @@
 //! Rays against geometry that repeats with the tile: fibres ([`Curves`]) and triangle meshes ([`Triangles`]).
 //!
-//! Every primitive, in all its copies that touch the unit cell, is in one tree ([`tree`]); a ray walks over the cells
-//! it crosses ([`tiled`]) and takes the first hit inside the first of them that has one. Trees decide in f32 what
-//! may be hit, with margins; what is hit, and where, is worked out in f64 from the cell's own origin.
+//! Every primitive, in all its copies that touch the unit cell, stands in that cell's columns ([`columns`]); a ray walks
+//! over the cells it crosses ([`tiled`]) and takes the first hit inside the first of them that has one. What may be hit
+//! is decided in f32, with margins; what is hit, and where, in f64 from the point where the ray enters the cell.
 
+mod columns;
 mod segment;
+mod shapes;
 #[cfg(test)]
 mod tests;
 mod tiled;
-mod tree;
 mod triangle;
+mod tube;
 
-pub use segment::{Curve, CurveHit, Curves, MAX_RADIUS, TUBE_DEPTH};
+pub use segment::{Curve, CurveHit, Curves, MAX_RADIUS, MIN_RADIUS, TUBE_DEPTH};
 pub use triangle::{MeshHit, TriangleMesh, Triangles};
 
 use crate::error::{Error, Result};

@@ -1,11 +1,15 @@
 //! Rays against fibres: tubes around polylines, each segment a cylinder with spheres at its ends.
 
-use super::tiled::{CellRay, Placed, Shapes, Tiled, snap};
-use super::tree::LANES;
-use super::{MAX_PRIMITIVES, check_point, cross, dot, normalise, sub};
+use super::shapes::{CellRay, Grid, LANES, Placed, Shapes};
+use super::tiled::Tiled;
+use super::tube::{frame, outward, tube};
+use super::{MAX_PRIMITIVES, check_point, dot, sub};
 use crate::error::{Error, Result};
 use crate::reference::heightfield::MAX_DEPTH;
 use glam::Vec4;
+
+/// Smallest radius of a fibre, in tile widths: coordinates are rounded by a tenth of it.
+pub const MIN_RADIUS: f64 = 1e-6;
 
 /// Largest radius of a fibre, in tile widths.
 pub const MAX_RADIUS: f64 = 0.25;
@@ -54,14 +58,15 @@ pub struct CurveHit {
     pub look: u32,
     /// The curve's radius in tile widths.
     pub radius: f64,
+    /// Unit normal of the tube itself: not `normal` where the curve bends or ends.
+    outward: [f64; 3],
 }
 
 impl CurveHit {
     /// The point from which rays leave the fibre, through it or away from it: just inside, so that none meets the
     /// segment again.
     pub fn departure(&self) -> [f64; 3] {
-        let depth = TUBE_DEPTH.min(0.5 * self.radius);
-        std::array::from_fn(|c| self.position[c] - depth * self.normal[c])
+        std::array::from_fn(|c| self.position[c] - TUBE_DEPTH * self.outward[c])
     }
 }
 
@@ -76,14 +81,14 @@ impl Curves {
     ///
     /// # Errors
     /// `Config` on `curves` if there is none or more than [`MAX_PRIMITIVES`] segments, a curve has fewer than
-    /// 2 points or a radius outside (0, [`MAX_RADIUS`]\], a point is not finite or lies outside [`MAX_EXTENT`](super::MAX_EXTENT), or a
+    /// 2 points or a radius outside [`MIN_RADIUS`] to [`MAX_RADIUS`], a point is not finite or lies outside [`MAX_EXTENT`](super::MAX_EXTENT), or a
     /// tube reaches farther than [`MAX_DEPTH`] from the plane.
     pub fn new(curves: &[Curve]) -> Result<Self> {
         let segments = Segments::new(curves)?;
         let mut range = [f64::INFINITY, f64::NEG_INFINITY];
-        for segment in &segments.segments {
-            let radius = segments.styles[segment.style as usize].radius;
-            for [_, _, z] in segments.ends(segment) {
+        for (index, style) in (0..).zip(&segments.style_of) {
+            let Some(Style { radius, .. }) = segments.styles.get(*style as usize) else { continue };
+            for [_, _, z] in segments.ends(index) {
                 range = [range[0].min(z - radius), range[1].max(z + radius)];
             }
         }
@@ -91,7 +96,9 @@ impl Curves {
             let [low, high] = range;
             return Err(Error::config(
                 "curves",
-                format!("span {low} to {high} tile widths; at most {MAX_DEPTH} above and below the plane works"),
+                format!(
+                    "span {low} to {high} tile widths; at most {MAX_DEPTH} above and below the plane works"
+                ),
             ));
         }
         Ok(Self { tiled: Tiled::new(segments, range, "curves")? })
@@ -107,12 +114,12 @@ impl Curves {
     pub fn intersect(&self, origin: [f64; 3], direction: [f64; 3], t_max: f64) -> Option<CurveHit> {
         let found = self.tiled.trace::<false>(origin, direction, t_max)?;
         let segments = &self.tiled.shapes;
-        let segment = &segments.segments[found.placed.index as usize];
-        let style = &segments.styles[segment.style as usize];
-        let points = segments.chain(segment).map(|p| found.placed.place(p));
+        let style = segments.style(found.placed.index);
+        let points = segments.chain(found.placed.index).map(|p| found.placed.place(p));
         let (tangent, normal) = frame(&points, found.local, found.direction);
-        let (t, position) = (found.t, found.position);
-        Some(CurveHit { t, position, normal, tangent, look: style.look, radius: style.radius })
+        let (t, position, Style { radius, look }) = (found.t, found.position, style);
+        let outward = outward([points[2], points[3]], found.local);
+        Some(CurveHit { t, position, normal, tangent, look, radius, outward })
     }
 
     /// True if the ray enters a fibre on its way out.
@@ -128,23 +135,21 @@ struct Style {
     look: u32,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Segment {
-    /// Index of the point before its first.
-    chain: u32,
-    style: u32,
-}
-
+/// Segments go by the index of the first of their [`Segments::chain`].
 #[derive(Debug)]
 struct Segments {
-    /// Curve after curve; each has one more point at either end, the neighbour in the next tile if it is periodic,
-    /// the end once more if not.
+    /// Curve after curve; each has two more points at either end: the next ones in the next tile if it is periodic,
+    /// the end twice more if not.
     points: Vec<[f64; 3]>,
-    segments: Vec<Segment>,
+    /// Style of the segment at each point, [`NO_SEGMENT`] where there is none.
+    style_of: Vec<u32>,
     styles: Vec<Style>,
     /// What f32 may lose of the distance between a ray and an axis.
     slack: f32,
 }
+
+/// Marks the last points of a curve.
+const NO_SEGMENT: u32 = u32::MAX;
 
 impl Segments {
     fn new(curves: &[Curve]) -> Result<Self> {
@@ -153,35 +158,42 @@ impl Segments {
         }
         let total = curves.iter().fold(0, |sum: usize, curve| sum.saturating_add(curve.points.len()));
         if total > MAX_PRIMITIVES {
-            return Err(Error::config("curves", format!("have {total} points; at most {MAX_PRIMITIVES} work")));
+            return Err(Error::config(
+                "curves",
+                format!("have {total} points; at most {MAX_PRIMITIVES} work"),
+            ));
         }
-        let mut this = Self { points: Vec::new(), segments: Vec::new(), styles: Vec::new(), slack: 0.0 };
+        let mut this = Self { points: Vec::new(), style_of: Vec::new(), styles: Vec::new(), slack: 0.0 };
         for (k, curve) in curves.iter().enumerate() {
-            let Curve { points, radius, look } = curve;
+            let Curve { points, radius, .. } = curve;
             if points.len() < 2 {
                 return Err(Error::config(
                     format!("curves[{k}].points"),
                     format!("has {} points; at least 2 are needed", points.len()),
                 ));
             }
-            if !(*radius > 0.0 && *radius <= MAX_RADIUS) {
+            if !(*radius >= MIN_RADIUS && *radius <= MAX_RADIUS) {
                 return Err(Error::config(
                     format!("curves[{k}].radius"),
-                    format!("{radius} is outside 0 to {MAX_RADIUS} tile widths"),
+                    format!("{radius} is outside {MIN_RADIUS} to {MAX_RADIUS} tile widths"),
                 ));
             }
             for (j, point) in points.iter().enumerate() {
                 check_point(*point, || format!("curves[{k}].points[{j}]"))?;
             }
-            this.add(points, Style { radius: *radius, look: *look });
         }
-        let farthest = this.points.iter().flatten().fold(1.0, |most: f64, x| most.max(x.abs()));
-        this.slack = SLACK * farthest as f32;
+        let longest = curves.iter().map(longest_step).fold(0.0, f64::max);
+        let grid = Grid::new(longest + MAX_RADIUS);
+        for Curve { points, radius, look } in curves {
+            // Packets hold radii in f32: all others must agree.
+            let radius = f64::from(*radius as f32);
+            this.add(points.iter().map(|p| grid.snap(*p)).collect(), Style { radius, look: *look });
+        }
+        this.slack = SLACK * (1.0 + longest as f32);
         Ok(this)
     }
 
-    fn add(&mut self, points: &[[f64; 3]], style: Style) {
-        let mut points: Vec<[f64; 3]> = points.iter().map(|p| p.map(snap)).collect();
+    fn add(&mut self, mut points: Vec<[f64; 3]>, style: Style) {
         points.dedup();
         let mut count = points.len();
         if count < 2 {
@@ -190,43 +202,54 @@ impl Segments {
         let gap: [f64; 3] = std::array::from_fn(|c| points[count - 1][c] - points[0][c]);
         let period = [gap[0].round(), gap[1].round(), 0.0];
         let returns = (0..3).all(|c| (gap[c] - period[c]).abs() <= PERIOD_TOLERANCE);
-        let (before, after) = if returns && (period != [0.0; 3] || count >= LEAST_RING) {
-            let move_by = |p: [f64; 3], sign: f64| std::array::from_fn(|c| p[c] + sign * period[c]);
-            points[count - 1] = move_by(points[0], 1.0);
+        let periodic = returns && (period != [0.0; 3] || count >= LEAST_RING);
+        if periodic {
+            points[count - 1] = std::array::from_fn(|c| points[0][c] + period[c]);
             if points[count - 1] == points[count - 2] {
                 points.pop();
                 count -= 1;
             }
-            (move_by(points[count - 2], -1.0), move_by(points[1], 1.0))
-        } else {
-            (points[0], points[count - 1])
+        }
+        let steps = count as i64 - 1;
+        let beyond = |k: i64| {
+            if !periodic {
+                return points[k.clamp(0, steps) as usize];
+            }
+            let (turns, at) = (k.div_euclid(steps) as f64, k.rem_euclid(steps) as usize);
+            std::array::from_fn(|c| points[at][c] + turns * period[c])
         };
-        let first = self.points.len() as u32;
-        self.points.push(before);
-        self.points.extend(points);
-        self.points.push(after);
-        let number = self.styles.len() as u32;
-        self.segments.extend((0..count as u32 - 1).map(|k| Segment { chain: first + k, style: number }));
+        self.points.extend((-2..=steps + 2).map(beyond));
+        self.style_of.extend(std::iter::repeat_n(self.styles.len() as u32, count - 1));
+        self.style_of.extend([NO_SEGMENT; 5]);
         self.styles.push(style);
     }
 
-    /// The point before, the two ends, the point behind.
-    fn chain(&self, segment: &Segment) -> [[f64; 3]; 4] {
-        let at = segment.chain as usize;
-        [self.points[at], self.points[at + 1], self.points[at + 2], self.points[at + 3]]
+    /// Two points before, the two ends, two points behind.
+    fn chain(&self, index: u32) -> [[f64; 3]; 6] {
+        let at = index as usize;
+        std::array::from_fn(|k| self.points[at + k])
     }
 
-    fn ends(&self, segment: &Segment) -> [[f64; 3]; 2] {
-        let at = segment.chain as usize;
-        [self.points[at + 1], self.points[at + 2]]
+    fn ends(&self, index: u32) -> [[f64; 3]; 2] {
+        let at = index as usize;
+        [self.points[at + 2], self.points[at + 3]]
+    }
+
+    fn style(&self, index: u32) -> Style {
+        self.styles[self.style_of[index as usize] as usize]
     }
 }
 
-/// Four segments by their middles and half axes.
+/// Largest step in x or y from one point to the next.
+fn longest_step(curve: &Curve) -> f64 {
+    let step = |pair: &[[f64; 3]]| (pair[1][0] - pair[0][0]).abs().max((pair[1][1] - pair[0][1]).abs());
+    curve.points.windows(2).map(step).fold(0.0, f64::max)
+}
+
+/// Four segments.
 #[derive(Clone, Debug)]
 struct Packet {
-    middle: [Vec4; 3],
-    half: [Vec4; 3],
+    ends: [[Vec4; 3]; 2],
     radius: Vec4,
     /// Radius of the sphere around the tube; NaN in lanes without segment.
     reach: Vec4,
@@ -254,25 +277,22 @@ impl Shapes for Segments {
     type Hit = ();
 
     fn len(&self) -> usize {
-        self.segments.len()
+        self.points.len()
     }
 
-    fn extent(&self, index: u32) -> [[f64; 2]; 2] {
-        let segment = &self.segments[index as usize];
-        let radius = self.styles[segment.style as usize].radius;
-        let [p, q] = self.ends(segment);
-        [0, 1].map(|c| [p[c].min(q[c]) - radius, p[c].max(q[c]) + radius])
+    fn extent(&self, index: u32) -> Option<[[f64; 2]; 2]> {
+        let radius = self.styles.get(self.style_of[index as usize] as usize)?.radius;
+        let [p, q] = self.ends(index);
+        Some([0, 1].map(|c| [p[c].min(q[c]) - radius, p[c].max(q[c]) + radius]))
     }
 
-    fn bounds(&self, placed: Placed, margin: f64) -> Option<[[f64; 3]; 2]> {
-        let segment = &self.segments[placed.index as usize];
-        let radius = self.styles[segment.style as usize].radius;
-        let [p, q] = self.ends(segment).map(|p| placed.place(p));
-        // The part of the axis from which the tube reaches the cell.
+    fn heights_over(&self, placed: Placed, low: [f64; 2], high: [f64; 2]) -> Option<[f64; 2]> {
+        let Style { radius, .. } = self.style(placed.index);
+        let [p, q] = self.ends(placed.index).map(|p| placed.place(p));
+        // The part of the axis from which the tube reaches the rectangle.
         let (mut first, mut last): (f64, f64) = (0.0, 1.0);
-        let (floor, ceiling) = (-radius - margin, 1.0 + radius + margin);
         for c in 0..2 {
-            let rise = q[c] - p[c];
+            let (floor, ceiling, rise) = (low[c] - radius, high[c] + radius, q[c] - p[c]);
             if rise == 0.0 {
                 if p[c] < floor || p[c] > ceiling {
                     return None;
@@ -286,33 +306,25 @@ impl Shapes for Segments {
         if first > last {
             return None;
         }
-        let at = |s: f64| -> [f64; 3] { std::array::from_fn(|c| p[c] + (q[c] - p[c]) * s) };
-        let (p, q) = (at(first), at(last));
-        Some([
-            std::array::from_fn(|c| p[c].min(q[c]) - radius),
-            std::array::from_fn(|c| p[c].max(q[c]) + radius),
-        ])
+        let [a, b] = [first, last].map(|s| p[2] + (q[2] - p[2]) * s);
+        Some([a.min(b) - radius, a.max(b) + radius])
     }
 
     fn packet(&self, members: [Option<Placed>; LANES]) -> Packet {
-        let mut packet = Packet {
-            middle: [Vec4::ZERO; 3],
-            half: [Vec4::ZERO; 3],
-            radius: Vec4::ZERO,
-            reach: Vec4::splat(f32::NAN),
-        };
+        let mut packet =
+            Packet { ends: [[Vec4::ZERO; 3]; 2], radius: Vec4::ZERO, reach: Vec4::splat(f32::NAN) };
         for (lane, placed) in members.iter().enumerate() {
             let Some(placed) = placed else { continue };
-            let segment = &self.segments[placed.index as usize];
-            let radius = self.styles[segment.style as usize].radius;
-            let [p, q] = self.ends(segment).map(|p| placed.place(p));
-            let half = sub(q, p).map(|x| 0.5 * x);
-            for c in 0..3 {
-                packet.middle[c][lane] = (0.5 * (p[c] + q[c])) as f32;
-                packet.half[c][lane] = half[c] as f32;
+            let Style { radius, .. } = self.style(placed.index);
+            let ends = self.ends(placed.index).map(|p| placed.place(p));
+            for (side, end) in packet.ends.iter_mut().zip(ends) {
+                for (coordinate, x) in side.iter_mut().zip(end) {
+                    coordinate[lane] = x as f32;
+                }
             }
-            packet.radius[lane] = radius as f32 + self.slack;
-            packet.reach[lane] = (dot(half, half).sqrt() + radius) as f32 + self.slack;
+            let axis = sub(ends[1], ends[0]);
+            packet.radius[lane] = radius as f32;
+            packet.reach[lane] = (0.5 * dot(axis, axis).sqrt() + radius) as f32 + self.slack;
         }
         packet
     }
@@ -321,142 +333,60 @@ impl Shapes for Segments {
         direction.map(|d| Vec4::splat(d as f32))
     }
 
-    fn local(&self, direction: [Vec4; 3], ray: &CellRay) -> Local {
+    fn local(&self, direction: &[Vec4; 3], ray: &CellRay) -> Local {
         let origin = ray.origin.map(|o| Vec4::splat(o as f32));
-        Local { origin, direction, near: Vec4::splat(ray.near as f32 - self.slack) }
+        Local { origin, direction: *direction, near: Vec4::splat(ray.near as f32) }
     }
 
     /// Tests the sphere around each tube, then the distance of the ray from the infinite axis.
     #[inline]
-    fn candidates(&self, packet: &Packet, local: &Local, far: f32) -> u32 {
-        let d = local.direction;
-        let w: [Vec4; 3] = std::array::from_fn(|c| packet.middle[c] - local.origin[c]);
+    fn candidates(&self, packet: &Packet, local: &Local, far: f64) -> u32 {
+        let ([p, q], d, reach) = (&packet.ends, local.direction, packet.reach);
+        let w: [Vec4; 3] = std::array::from_fn(|c| (p[c] + q[c]) * 0.5 - local.origin[c]);
         let along = dot4(w, d);
-        let p: [Vec4; 3] = std::array::from_fn(|c| w[c] - d[c] * along);
-        let reach = packet.reach;
-        let in_reach = dot4(p, p).cmple(reach * reach)
-            & (along - reach).cmple(Vec4::splat(far))
+        let off: [Vec4; 3] = std::array::from_fn(|c| w[c] - d[c] * along);
+        let in_reach = dot4(off, off).cmple(reach * reach)
+            & (along - reach).cmple(Vec4::splat(far as f32))
             & (along + reach).cmpge(local.near);
         if in_reach.bitmask() == 0 {
             return 0;
         }
-        let h = packet.half;
+        let h: [Vec4; 3] = std::array::from_fn(|c| (q[c] - p[c]) * 0.5);
         let n = [d[1] * h[2] - d[2] * h[1], d[2] * h[0] - d[0] * h[2], d[0] * h[1] - d[1] * h[0]];
-        let most = packet.radius * dot4(n, n).sqrt() + reach * reach * TWIST;
-        (in_reach & dot4(p, n).abs().cmple(most)).bitmask()
+        let radius = packet.radius + self.slack;
+        let most = radius * dot4(n, n).sqrt() + reach * reach * TWIST;
+        (in_reach & dot4(off, n).abs().cmple(most)).bitmask()
     }
 
     #[inline]
-    fn intersect(&self, placed: Placed, _: &[Vec4; 3], ray: &CellRay) -> Option<(f64, ())> {
-        let segment = &self.segments[placed.index as usize];
-        let radius = self.styles[segment.style as usize].radius;
-        let [before, p, q, behind] = self.chain(segment).map(|p| placed.place(p));
+    fn intersect(&self, packet: &Packet, lane: usize, _: &[Vec4; 3], ray: &CellRay) -> Option<(f64, ())> {
+        let ends = packet.ends.map(|end| end.map(|x| f64::from(x[lane])));
+        let (origin, along) = nearby(ends, ray);
+        let [enter, _] = tube(ends, f64::from(packet.radius[lane]), origin, ray.direction)?;
+        let t = enter + along;
+        (t >= ray.near && t <= ray.far).then_some((t, ()))
+    }
 
-        // From a point near the segment nothing is lost by squares of long distances.
-        let middle: [f64; 3] = std::array::from_fn(|c| 0.5 * (p[c] + q[c]));
-        let along = dot(sub(middle, ray.origin), ray.direction);
-        let origin = std::array::from_fn(|c| ray.origin[c] + ray.direction[c] * along);
-        let [enter, _] = tube([p, q], radius, origin, ray.direction)?;
-        if enter + along < ray.near || enter + along > ray.far {
-            return None;
-        }
-
-        // Inside a neighbour there is no surface.
-        let start = ray.start - along;
-        for neighbour in [[before, p], [q, behind]] {
-            if let Some([a, b]) = tube(neighbour, radius, origin, ray.direction)
-                && (a < enter - TIE || a < start)
-                && b > enter + TIE
-            {
-                return None;
-            }
-        }
-        Some((enter + along, ()))
+    /// Inside a neighbour there is no surface. Only a ray from inside a fibre can meet one there first.
+    fn stands(&self, placed: Placed, t: f64, ray: &CellRay) -> bool {
+        let Style { radius, .. } = self.style(placed.index);
+        let [_, before, p, q, behind, _] = self.chain(placed.index).map(|p| placed.place(p));
+        let (origin, along) = nearby([p, q], ray);
+        let (enter, start) = (t - along, ray.start - along);
+        let hides = |[a, b]: [f64; 2]| (a < enter - TIE || a < start) && b > enter + TIE;
+        let around = |ends| tube(ends, radius, origin, ray.direction).is_some_and(hides);
+        !around([before, p]) && !around([q, behind])
     }
 }
 
-/// Where a ray of unit direction enters and leaves a cylinder with spheres at its ends `p` and `q`. The origin should
-/// be near: squares of its distance are rounded. As the tube is convex, the crossings of its three parts join to one.
-fn tube([p, q]: [[f64; 3]; 2], radius: f64, origin: [f64; 3], direction: [f64; 3]) -> Option<[f64; 2]> {
-    let mut crossing: Option<[f64; 2]> = None;
-    let mut join = |a: f64, b: f64| {
-        crossing = Some(crossing.map_or([a, b], |[enter, leave]| [enter.min(a), leave.max(b)]));
-    };
-    for centre in [p, q] {
-        let w = sub(centre, origin);
-        let along = dot(w, direction);
-        let off: [f64; 3] = std::array::from_fn(|c| w[c] - direction[c] * along);
-        let rest = radius * radius - dot(off, off);
-        if rest >= 0.0 {
-            let reach = rest.sqrt();
-            join(along - reach, along + reach);
-        }
-    }
-
-    // The cylinder: r^2 |a|^2 = |(o + t d - p) x a|^2, cut off by the planes through the ends.
-    let axis = sub(q, p);
-    let length_squared = dot(axis, axis);
-    let w = sub(origin, p);
-    let (turn, arm) = (cross(direction, axis), cross(w, axis));
-    let a = dot(turn, turn);
-    if a > PARALLEL * length_squared {
-        let b = dot(turn, arm);
-        let across = cross(turn, arm);
-        // b^2 - a c in a form without cancellation (Lagrange's identity).
-        let rest = a * radius * radius * length_squared - dot(across, across);
-        if rest >= 0.0 {
-            let reach = rest.sqrt();
-            let (mut enter, mut leave) = ((-b - reach) / a, (-b + reach) / a);
-            let (height, rise) = (dot(w, axis), dot(direction, axis));
-            if rise != 0.0 {
-                let (s, t) = (-height / rise, (length_squared - height) / rise);
-                enter = enter.max(s.min(t));
-                leave = leave.min(s.max(t));
-            } else if height < 0.0 || height > length_squared {
-                return crossing;
-            }
-            if enter <= leave {
-                join(enter, leave);
-            }
-        }
-    }
-    crossing
+/// The point of the ray beside the middle of a segment, and its t: from there nothing is lost by squares of long
+/// distances.
+#[inline]
+fn nearby([p, q]: [[f64; 3]; 2], ray: &CellRay) -> ([f64; 3], f64) {
+    let to_middle = std::array::from_fn(|c| 0.5 * (p[c] + q[c]) - ray.origin[c]);
+    let along = dot(to_middle, ray.direction);
+    (std::array::from_fn(|c| ray.origin[c] + ray.direction[c] * along), along)
 }
-
-/// Squared sine of the angle to the axis below which the spheres alone bound a crossing.
-const PARALLEL: f64 = 1e-18;
-
-/// Tangent and normal at the point `x` of the segment between the middle two of `points`.
-fn frame(points: &[[f64; 3]; 4], x: [f64; 3], direction: [f64; 3]) -> ([f64; 3], [f64; 3]) {
-    let [before, p, q, behind] = *points;
-    let axis = sub(q, p);
-    let along = (dot(sub(x, p), axis) / dot(axis, axis)).clamp(0.0, 1.0);
-    let own = normalise(axis).unwrap_or([1.0, 0.0, 0.0]);
-    let average = |other: [f64; 3]| {
-        let other = normalise(other).unwrap_or(own);
-        // A curve that turns right back has no average.
-        normalise(std::array::from_fn(|c| own[c] + other[c])).unwrap_or(own)
-    };
-    let (first, last) = (average(sub(p, before)), average(sub(behind, q)));
-    let tangent =
-        normalise(std::array::from_fn(|c| first[c] + (last[c] - first[c]) * along)).unwrap_or(own);
-    let reject = |v: [f64; 3]| {
-        let share = dot(v, tangent);
-        let across: [f64; 3] = std::array::from_fn(|c| v[c] - tangent[c] * share);
-        (dot(across, across) > ON_AXIS * dot(v, v)).then(|| normalise(across)).flatten()
-    };
-    let outward = std::array::from_fn(|c| x[c] - p[c] - axis[c] * along);
-    // At the pole of a round end any normal is right: the one that faces the ray is the smoothest, if there is one.
-    let normal = reject(outward)
-        .or_else(|| reject(direction.map(|d| -d)))
-        .or_else(|| reject([0.0, 0.0, 1.0]))
-        .or_else(|| reject([1.0, 0.0, 0.0]))
-        .unwrap_or([0.0, 1.0, 0.0]);
-    (tangent, normal)
-}
-
-/// Squared sine to the tangent below which a direction says nothing about the side it is on.
-const ON_AXIS: f64 = 1e-12;
 
 #[inline]
 fn dot4(a: [Vec4; 3], b: [Vec4; 3]) -> Vec4 {

@@ -1,95 +1,19 @@
-//! Geometry that repeats over the plane: one cell holds every copy of a primitive that touches it, and a ray walks over
-//! the repetitions of that cell.
+//! A ray's way over the repetitions of the unit cell.
 
-use super::tree::{BoxRay, LANES, Stack, Tree, widened_box};
-use crate::error::{Error, Result};
+use super::columns::{Columns, Group};
+use super::shapes::{CellRay, LANES, Placed, Shapes};
+use crate::error::Result;
 use crate::reference::raycast::MAX_DISTANCE;
-
-/// How far boxes exceed their primitives and the cell's content the cell, in tile widths. It covers what f32 loses on
-/// the way to a box: coordinates to 2 and distances to 3 are rounded four times, 4 x 3 x 6e-8.
-const BOX_MARGIN: f64 = 2e-6;
 
 /// How far a hit may lie outside the part of the ray that crosses a cell, in tile widths: the crossing is rounded at
 /// 1e-12 (at 10,000 tiles), and neither of two cells may think that a hit on their border is the other's.
 const BORDER_MARGIN: f64 = 1e-9;
 
-/// Most copies of all primitives together: 2.5 GiB.
-const MAX_COPIES: usize = 1 << 24;
+/// Cells farther than this from the origin are not looked at: positions there are coarser than the margins.
+const MAX_CELL: f64 = 1e6;
 
-/// Grid on which coordinates lie, in tile widths: a shift by whole tiles is then exact in f64, and every copy of a
-/// primitive has the same shape to the last bit.
-const GRID: f64 = 1.0 / (1u64 << 40) as f64;
-
-/// The nearest grid coordinate.
-pub(super) fn snap(x: f64) -> f64 {
-    (x / GRID).round() * GRID
-}
-
-/// A primitive, moved by whole tiles so that it touches the unit cell.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Placed {
-    pub(super) index: u32,
-    /// Tiles in x and y that are subtracted from the primitive's own position.
-    shift: [i8; 2],
-}
-
-impl Placed {
-    /// A point of the primitive, in the unit cell's frame.
-    pub(super) fn place(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
-        [x - f64::from(self.shift[0]), y - f64::from(self.shift[1]), z]
-    }
-}
-
-/// A ray inside one cell: its origin is where it enters, its direction has unit length.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct CellRay {
-    pub(super) origin: [f64; 3],
-    pub(super) direction: [f64; 3],
-    /// t of the whole ray's origin, at most 0.
-    pub(super) start: f64,
-    /// Hits count from this t,
-    pub(super) near: f64,
-    /// to this one.
-    pub(super) far: f64,
-}
-
-/// Primitives of one kind.
-pub(super) trait Shapes {
-    /// Up to [`LANES`] primitives side by side.
-    type Packet;
-    /// What is worked out once a ray.
-    type Aim: Copy;
-    /// What is worked out once a cell.
-    type Local: Copy;
-    /// What a hit is described from.
-    type Hit: Copy;
-
-    /// Number of primitives.
-    fn len(&self) -> usize;
-    /// Corners of the box around the part of a primitive over \[-margin, 1 + margin\]^2, once it is placed; None if
-    /// nothing is there.
-    fn bounds(&self, placed: Placed, margin: f64) -> Option<[[f64; 3]; 2]>;
-    /// Least and greatest x and y of a primitive where it lies: \[\[x, x\], \[y, y\]\].
-    fn extent(&self, index: u32) -> [[f64; 2]; 2];
-    fn packet(&self, members: [Option<Placed>; LANES]) -> Self::Packet;
-    fn aim(&self, direction: [f64; 3]) -> Self::Aim;
-    fn local(&self, aim: Self::Aim, ray: &CellRay) -> Self::Local;
-    /// A bit for each primitive that the ray may hit at t <= far; misses no hit.
-    fn candidates(&self, packet: &Self::Packet, local: &Self::Local, far: f32) -> u32;
-    /// The exact answer: where in \[near, far\] the ray hits.
-    fn intersect(&self, placed: Placed, aim: &Self::Aim, ray: &CellRay) -> Option<(f64, Self::Hit)>;
-}
-
-struct Leaf<P> {
-    packet: P,
-    members: [Placed; LANES],
-}
-
-impl<P: std::fmt::Debug> std::fmt::Debug for Leaf<P> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Leaf").field("packet", &self.packet).field("members", &self.members).finish()
-    }
-}
+/// Direction components below this count as 0.
+const TINY: f64 = 1e-30;
 
 /// Where a ray hits.
 pub(super) struct Found<H> {
@@ -109,45 +33,17 @@ pub(super) struct Found<H> {
 #[derive(Debug)]
 pub(super) struct Tiled<S: Shapes> {
     pub(super) shapes: S,
-    tree: Tree<Leaf<S::Packet>>,
+    columns: Columns<S::Packet>,
     /// Least and greatest z.
     pub(super) range: [f64; 2],
 }
 
-impl<S: Shapes> Tiled<S> {
+impl<S: Shapes + Sync> Tiled<S> {
     /// # Errors
-    /// `Config` on `field` if there is no primitive, or so large ones that their copies in one tile are too many.
+    /// `Config` on `field`, as [`Columns::new`].
     pub(super) fn new(shapes: S, range: [f64; 2], field: &str) -> Result<Self> {
-        let (mut placed, mut boxes) = (Vec::new(), Vec::new());
-        for index in 0..shapes.len() as u32 {
-            let [xs, ys] = shapes.extent(index).map(|[low, high]| {
-                ((low - BOX_MARGIN).ceil() as i64 - 1, (high + BOX_MARGIN).floor() as i64)
-            });
-            for (y, x) in (ys.0..=ys.1).flat_map(|y| (xs.0..=xs.1).map(move |x| (y, x))) {
-                let copy = Placed { index, shift: [x as i8, y as i8] };
-                let Some([low, high]) = shapes.bounds(copy, BOX_MARGIN) else { continue };
-                placed.push(copy);
-                boxes.push(widened_box(low, high, BOX_MARGIN));
-            }
-            if placed.len() > MAX_COPIES {
-                return Err(Error::config(
-                    field,
-                    format!(
-                        "more than {MAX_COPIES} pieces overlap in one tile; make them fewer or smaller than a tile"
-                    ),
-                ));
-            }
-        }
-        if boxes.is_empty() {
-            return Err(Error::config(field, "nothing is left of positive size; give at least one piece"));
-        }
-        let tree = Tree::new(&boxes, |members| {
-            let copies: [Option<Placed>; LANES] =
-                std::array::from_fn(|lane| members.get(lane).map(|&k| placed[k as usize]));
-            let first = placed[members[0] as usize];
-            Leaf { packet: shapes.packet(copies), members: copies.map(|copy| copy.unwrap_or(first)) }
-        });
-        Ok(Self { shapes, tree, range })
+        let columns = Columns::new(&shapes, field)?;
+        Ok(Self { shapes, columns, range })
     }
 
     /// First hit at 0 <= t <= `t_max`, or any hit if `ANY`. Rays are followed for [`MAX_DISTANCE`]. A ray whose
@@ -177,8 +73,6 @@ impl<S: Shapes> Tiled<S> {
         }
 
         let aim = self.shapes.aim(direction);
-        let box_ray = BoxRay::new(origin, direction);
-        let mut stack = Stack::new();
         let mut t = t0;
         loop {
             let tx = (cell[0] + f64::from(right) - origin[0]) * inv_x;
@@ -195,10 +89,17 @@ impl<S: Shapes> Tiled<S> {
                 near: (-t).max(-BORDER_MARGIN),
                 far: (exit + BORDER_MARGIN).min(t_end) - t,
             };
-            if let Some((s, placed, hit)) = self.in_cell::<ANY>(&mut stack, aim, &box_ray, ray) {
+            if let Some((s, placed, hit)) = self.in_cell::<ANY>(&aim, ray) {
                 let local = std::array::from_fn(|c| ray.origin[c] + direction[c] * s);
                 let position = [local[0] + cell[0], local[1] + cell[1], local[2]];
-                return Some(Found { t: ((t + s) / length).max(0.0), position, direction, local, placed, hit });
+                return Some(Found {
+                    t: ((t + s) / length).max(0.0),
+                    position,
+                    direction,
+                    local,
+                    placed,
+                    hit,
+                });
             }
             if exit >= t_end {
                 return None;
@@ -230,47 +131,37 @@ impl<S: Shapes> Tiled<S> {
     }
 
     #[inline]
-    fn in_cell<const ANY: bool>(
-        &self,
-        stack: &mut Stack,
-        aim: S::Aim,
-        box_ray: &BoxRay,
-        mut ray: CellRay,
-    ) -> Option<(f64, Placed, S::Hit)> {
-        let local = self.shapes.local(aim, &ray);
-        let box_ray = box_ray.with_origin(ray.origin);
-        let mut best = None;
-        let (near, far) = (ray.near as f32 - F32_MARGIN, ray.far as f32 + F32_MARGIN);
-        let visit = |leaf: &Leaf<S::Packet>, mut far: f32| {
-            let mut lanes = self.shapes.candidates(&leaf.packet, &local, far);
-            while lanes != 0 {
-                let placed = leaf.members[lanes.trailing_zeros() as usize & (LANES - 1)];
-                lanes &= lanes - 1;
-                if let Some((t, hit)) = self.shapes.intersect(placed, &aim, &ray) {
-                    best = Some((t, placed, hit));
-                    if ANY {
-                        return f32::NEG_INFINITY;
+    fn in_cell<const ANY: bool>(&self, aim: &S::Aim, cell: CellRay) -> Option<(f64, Placed, S::Hit)> {
+        let local = self.shapes.local(aim, &cell);
+        let mut ray = cell;
+        loop {
+            let mut best = None;
+            self.columns.walk(&cell, cell.far, |group: &Group<S::Packet>, mut far| {
+                let mut lanes = self.shapes.candidates(&group.packet, &local, far);
+                while lanes != 0 {
+                    let lane = lanes.trailing_zeros() as usize & (LANES - 1);
+                    lanes &= lanes - 1;
+                    let Some((t, hit)) = self.shapes.intersect(&group.packet, lane, aim, &ray) else {
+                        continue;
+                    };
+                    let placed = group.members[lane];
+                    if !ANY {
+                        best = Some((t, placed, hit));
+                        (ray.far, far) = (t, t);
+                    } else if self.shapes.stands(placed, t, &cell) {
+                        best = Some((t, placed, hit));
+                        return -1.0;
                     }
-                    ray.far = t;
-                    far = t as f32 + F32_MARGIN;
                 }
+                far
+            });
+            match best {
+                Some((t, placed, _)) if !ANY && !self.shapes.stands(placed, t, &cell) => {
+                    // Look on behind it.
+                    ray = CellRay { near: t.next_up(), ..cell };
+                }
+                answer => return answer,
             }
-            far
-        };
-        if ANY {
-            self.tree.walk::<false>(stack, &box_ray, near, far, visit);
-        } else {
-            self.tree.walk::<true>(stack, &box_ray, near, far, visit);
         }
-        best
     }
 }
-
-/// Direction components below this count as 0.
-const TINY: f64 = 1e-30;
-
-/// Cells farther than this from the origin are not looked at: positions there are coarser than the margins.
-const MAX_CELL: f64 = 1e6;
-
-/// What f32 may lose of a distance inside a cell, in tile widths.
-const F32_MARGIN: f32 = 2e-6;

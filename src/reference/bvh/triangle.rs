@@ -3,8 +3,8 @@
 //! The mesh is watertight: along a common edge both triangles get the same number with opposite signs (Woop, Benthin and
 //! Wald 2013), here in f64.
 
-use super::tiled::{CellRay, Placed, Shapes, Tiled, snap};
-use super::tree::LANES;
+use super::shapes::{CellRay, Grid, LANES, Placed, Shapes};
+use super::tiled::Tiled;
 use super::{MAX_PRIMITIVES, check_point, cross, dot, normalise, sub};
 use crate::error::{Error, Result};
 use crate::reference::raycast::SURFACE_OFFSET;
@@ -79,17 +79,16 @@ impl Triangles {
     pub fn intersect(&self, origin: [f64; 3], direction: [f64; 3], t_max: f64) -> Option<MeshHit> {
         let found = self.tiled.trace::<false>(origin, direction, t_max)?;
         let mesh = &self.tiled.shapes;
-        let corners = mesh.triangles[found.placed.index as usize].map(|corner| corner as usize);
-        let [a, b, c] = mesh.corners(found.placed.index);
+        let Blend { weights, normal } = found.hit;
+        let corners = || mesh.triangles[found.placed.index as usize].map(|corner| corner as usize);
         let facing = |n: [f64; 3], towards: [f64; 3]| if dot(n, towards) < 0.0 { n.map(|x| -x) } else { n };
-        let own = normalise(cross(sub(b, a), sub(c, a))).unwrap_or([0.0, 0.0, 1.0]);
-        let normal = facing(own, found.direction.map(|d| -d));
+        let normal = facing(normalise(normal)?, found.direction.map(|d| -d));
         let shading_normal = mesh.normals.as_ref().and_then(|normals| {
-            let n = blend(found.hit, corners.map(|corner| normals[corner]));
+            let n = blend(weights, corners().map(|corner| normals[corner]));
             Some(facing(normalise(n)?, normal))
         });
         let uv = match &mesh.uv {
-            Some(uv) => blend(found.hit, corners.map(|corner| uv[corner])),
+            Some(uv) => blend(weights, corners().map(|corner| uv[corner])),
             None => [wrap(found.local[0]), wrap(found.local[1])],
         };
         let (t, position) = (found.t, found.position);
@@ -148,19 +147,71 @@ impl Mesh {
         check_corners("mesh.normals", normals.as_deref(), positions.len())?;
         check_corners("mesh.uv", uv.as_deref(), positions.len())?;
 
+        let widest = triangles.iter().map(|corners| width(&positions, corners)).fold(0.0, f64::max);
+        let grid = Grid::new(widest);
         for position in &mut positions {
-            *position = position.map(snap);
+            *position = grid.snap(*position);
         }
         triangles.retain(|corners| {
             let [a, b, c] = corners.map(|corner| positions[corner as usize]);
             normalise(cross(sub(b, a), sub(c, a))).is_some()
         });
-        let farthest = positions.iter().flatten().fold(1.0, |most: f64, x| most.max(x.abs()));
-        Ok(Self { positions, triangles, normals, uv, slack: SLACK * farthest as f32 })
+        Ok(Self { positions, triangles, normals, uv, slack: SLACK * (1.0 + widest as f32) })
     }
 
     fn corners(&self, index: u32) -> [[f64; 3]; 3] {
         self.triangles[index as usize].map(|corner| self.positions[corner as usize])
+    }
+}
+
+/// Extent of a triangle in x or y, whichever is larger.
+fn width(positions: &[[f64; 3]], corners: &[u32; 3]) -> f64 {
+    let [p, q, r] = corners.map(|corner| positions[corner as usize]);
+    let extent = |c: usize| p[c].max(q[c]).max(r[c]) - p[c].min(q[c]).min(r[c]);
+    extent(0).max(extent(1))
+}
+
+/// A triangle that planes cut corners off: at most 3 + 4.
+struct Polygon {
+    corners: [[f64; 3]; 7],
+    len: usize,
+}
+
+impl Polygon {
+    fn new([a, b, c]: [[f64; 3]; 3]) -> Self {
+        Self { corners: [a, b, c, a, a, a, a], len: 3 }
+    }
+
+    fn push(&mut self, corner: [f64; 3]) {
+        if let Some(slot) = self.corners.get_mut(self.len) {
+            *slot = corner;
+            self.len += 1;
+        }
+    }
+
+    /// The part with (x - bound) sign >= 0 on an axis (Sutherland and Hodgman 1974).
+    fn cut(&self, axis: usize, bound: f64, sign: f64) -> Self {
+        let mut kept = Self { corners: [[0.0; 3]; 7], len: 0 };
+        for k in 0..self.len {
+            let (p, q) = (self.corners[k], self.corners[(k + 1) % self.len]);
+            let [a, b] = [p, q].map(|corner| (corner[axis] - bound) * sign);
+            if a >= 0.0 {
+                kept.push(p);
+            }
+            if (a >= 0.0) != (b >= 0.0) {
+                let s = a / (a - b);
+                kept.push(std::array::from_fn(|c| p[c] + (q[c] - p[c]) * s));
+            }
+        }
+        kept
+    }
+
+    fn heights(&self) -> Option<[f64; 2]> {
+        let heights = self.corners[..self.len].iter().map(|corner| corner[2]);
+        heights.fold(None, |range, z| {
+            let [low, high] = range.unwrap_or([z, z]);
+            Some([low.min(z), high.max(z)])
+        })
     }
 }
 
@@ -187,6 +238,15 @@ struct Aim {
     scale: f64,
 }
 
+/// What a hit is described from.
+#[derive(Clone, Copy, Debug)]
+struct Blend {
+    /// Weights of the corners.
+    weights: [f64; 3],
+    /// Of any length and on any side.
+    normal: [f64; 3],
+}
+
 /// What the quick test needs of a ray.
 #[derive(Clone, Copy, Debug)]
 struct Local {
@@ -203,27 +263,23 @@ impl Shapes for Mesh {
     type Packet = Packet;
     type Aim = Aim;
     type Local = Local;
-    /// Weights of the corners.
-    type Hit = [f64; 3];
+    type Hit = Blend;
 
     fn len(&self) -> usize {
         self.triangles.len()
     }
 
-    fn extent(&self, index: u32) -> [[f64; 2]; 2] {
+    fn extent(&self, index: u32) -> Option<[[f64; 2]; 2]> {
         let [p, q, r] = self.corners(index);
-        [0, 1].map(|c| [p[c].min(q[c]).min(r[c]), p[c].max(q[c]).max(r[c])])
+        Some([0, 1].map(|c| [p[c].min(q[c]).min(r[c]), p[c].max(q[c]).max(r[c])]))
     }
 
-    fn bounds(&self, placed: Placed, margin: f64) -> Option<[[f64; 3]; 2]> {
-        let [p, q, r] = self.corners(placed.index).map(|p| placed.place(p));
-        let mut low: [f64; 3] = std::array::from_fn(|c| p[c].min(q[c]).min(r[c]));
-        let mut high: [f64; 3] = std::array::from_fn(|c| p[c].max(q[c]).max(r[c]));
+    fn heights_over(&self, placed: Placed, low: [f64; 2], high: [f64; 2]) -> Option<[f64; 2]> {
+        let mut polygon = Polygon::new(self.corners(placed.index).map(|p| placed.place(p)));
         for c in 0..2 {
-            low[c] = low[c].max(-margin);
-            high[c] = high[c].min(1.0 + margin);
+            polygon = polygon.cut(c, low[c], 1.0).cut(c, high[c], -1.0);
         }
-        (low[0] <= high[0] && low[1] <= high[1]).then_some([low, high])
+        polygon.heights()
     }
 
     fn packet(&self, members: [Option<Placed>; LANES]) -> Packet {
@@ -247,14 +303,14 @@ impl Shapes for Mesh {
         Aim { axes, shear: [direction[axes[0]] * scale, direction[axes[1]] * scale], scale }
     }
 
-    fn local(&self, aim: Aim, ray: &CellRay) -> Local {
+    fn local(&self, aim: &Aim, ray: &CellRay) -> Local {
         let origin = aim.axes.map(|axis| Vec4::splat(ray.origin[axis] as f32));
         Local { axes: aim.axes, origin, shear: aim.shear.map(|s| Vec4::splat(s as f32)) }
     }
 
     /// The exact test in f32, each edge with a margin for its rounding.
     #[inline]
-    fn candidates(&self, packet: &Packet, local: &Local, _: f32) -> u32 {
+    fn candidates(&self, packet: &Packet, local: &Local, _: f64) -> u32 {
         let [i, j, k] = local.axes;
         let slack = Vec4::splat(self.slack);
         let sheared = packet.map(|corner| {
@@ -276,12 +332,11 @@ impl Shapes for Mesh {
     }
 
     #[inline]
-    fn intersect(&self, placed: Placed, aim: &Aim, ray: &CellRay) -> Option<(f64, [f64; 3])> {
+    fn intersect(&self, packet: &Packet, lane: usize, aim: &Aim, ray: &CellRay) -> Option<(f64, Blend)> {
         let [i, j, k] = aim.axes;
-        let [a, b, c] = self.corners(placed.index).map(|p| {
-            let p = sub(placed.place(p), ray.origin);
-            [p[i] - aim.shear[0] * p[k], p[j] - aim.shear[1] * p[k], p[k] * aim.scale]
-        });
+        let corners = packet.map(|corner| sub(corner.map(|x| f64::from(x[lane])), ray.origin));
+        let [a, b, c] =
+            corners.map(|p| [p[i] - aim.shear[0] * p[k], p[j] - aim.shear[1] * p[k], p[k] * aim.scale]);
         // Twice the areas opposite the corners. Products are not fused: the same edge gives the same number.
         let u = c[0] * b[1] - c[1] * b[0];
         let v = a[0] * c[1] - a[1] * c[0];
@@ -295,6 +350,8 @@ impl Shapes for Mesh {
         }
         let weights = [u / sum, v / sum, w / sum];
         let t = weights[0] * a[2] + weights[1] * b[2] + weights[2] * c[2];
-        (t >= ray.near && t <= ray.far).then_some((t, weights))
+        let [p, q, r] = corners;
+        let hit = || Blend { weights, normal: cross(sub(q, p), sub(r, p)) };
+        (t >= ray.near && t <= ray.far).then(|| (t, hit()))
     }
 }

@@ -12,8 +12,8 @@ const YARNS: usize = 12;
 const GROUP: usize = 2;
 
 /// Cream to grey-beige, linear RGB, as the colour of a mass of fibres.
-const CREAM: [f64; 3] = [0.90, 0.64, 0.36];
-const GREIGE: [f64; 3] = [0.74, 0.55, 0.36];
+const CREAM: [f64; 3] = [0.90, 0.59, 0.29];
+const GREIGE: [f64; 3] = [0.76, 0.53, 0.32];
 
 /// The parameters under one seed.
 pub fn design(seed: u64) -> Design {

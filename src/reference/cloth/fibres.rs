@@ -1,8 +1,8 @@
 //! From a yarn's path to its fibres: plies wound around the centre line, fibres wound in each ply.
 //!
-//! Fibres fill a ply evenly, stray from their place with smooth noise, and now and then leave the yarn in a loop; hairs
-//! with free ends stick out. Ply twist, migration and loops follow the anatomy of Zhao, Luan and Bala (2016), "Fitting
-//! procedural yarn models for realistic cloth rendering".
+//! Fibres fill a ply evenly, stray from their place with smooth noise, and now and then leave the yarn in a loop;
+//! hairs with free ends stick out. Ply twist, migration and loops follow the anatomy of Zhao, Luan and Bala (2016),
+//! "Fitting procedural yarn models for realistic cloth rendering".
 
 use super::yarn::{Path, Wave, add, unit};
 use crate::random::Random;
@@ -14,6 +14,10 @@ use std::ops::Range;
 const GOLDEN: f64 = 2.399_963_229_728_653;
 /// Most of a ply's radius that a straying fibre keeps to: a little fuzz on its outside.
 const FUZZ: f64 = 1.06;
+/// How much a ply's thickness varies along it, as a share.
+const SWELL: f64 = 0.06;
+/// How far a fibre's shade lies from its yarn's, as a share of all shades: standard deviation.
+const SHADE_SPREAD: f64 = 0.16;
 /// Part of its way, in tiles, that a loop is off the yarn.
 const LOOP_REACH: Range<f64> = 0.03..0.08;
 /// Pieces of a hair.
@@ -26,7 +30,7 @@ const HAIR_RADIUS: f64 = 0.6;
 pub struct Spin {
     /// Plies, at least 1.
     pub plies: usize,
-    /// Turns of the plies around the yarn in a tile; whole, so that each ply meets itself. Negative turns the other way.
+    /// Turns of the plies around the yarn in a tile; whole, so that each ply meets itself. Negative ones turn back.
     pub ply_turns: i32,
     /// Turns of the fibres around their ply in a tile, over those of the ply.
     pub fibre_turns: i32,
@@ -52,9 +56,11 @@ pub struct Spin {
     pub shades: Range<u32>,
 }
 
-/// The fibres of a yarn, all of which go on in the next tile, and its hairs, which end.
+/// The curves of a yarn.
 pub struct Spun {
+    /// Fibres, all of which go on in the next tile.
     pub endless: Vec<Curve>,
+    /// Hairs, which end.
     pub hairs: Vec<Curve>,
 }
 
@@ -66,21 +72,26 @@ pub fn spin(path: &Path, spin: &Spin, random: &mut Random) -> Spun {
     let twist = Wave::new(random, 1, 5);
     let yarn_shade = random.uniform_f64();
     let mut endless = Vec::with_capacity(spin.plies * spin.fibres);
+    let tiles: Vec<f64> = (0..path.len()).map(|k| k as f64 / path.len() as f64).collect();
     for ply in 0..spin.plies {
         let swell = Wave::new(random, 1, 7);
+        // What the fibres of a ply share: its angle around the yarn, its centre and its radius.
+        let axes = tiles.iter().map(|&t| {
+            let wound =
+                start + f64::from(spin.ply_turns) * t + spin.uneven * twist.at(t) + ply as f64 / plies;
+            let (sin, cos) = (TAU * wound).sin_cos();
+            let offset = 1.0 - ply_radius;
+            ([offset * cos, offset * sin], wound, ply_radius * (1.0 + SWELL * swell.at(t)))
+        });
+        let axes: Vec<_> = axes.collect();
         for rank in 0..spin.fibres {
             let fibre = Fibre::new(spin, rank, random);
             let look = shade(&spin.shades, yarn_shade, random);
-            let points = (0..path.len()).map(|k| {
-                let t = k as f64 / path.len() as f64;
-                let wound = start + f64::from(spin.ply_turns) * t + spin.uneven * twist.at(t);
-                let ply_angle = TAU * (wound + ply as f64 / plies);
+            let points = tiles.iter().zip(&axes).enumerate().map(|(k, (&t, (centre, wound, scale)))| {
                 let (radius, turn) = fibre.polar(t);
-                let radius = radius * ply_radius * (1.0 + 0.06 * swell.at(t));
-                let angle = ply_angle + TAU * (f64::from(spin.fibre_turns) * t + turn);
-                let u = (1.0 - ply_radius) * ply_angle.cos() + radius * angle.cos();
-                let v = (1.0 - ply_radius) * ply_angle.sin() + radius * angle.sin();
-                place(path, k, [u, v], spin.fibre_radius)
+                let (sin, cos) = (TAU * (wound + f64::from(spin.fibre_turns) * t + turn)).sin_cos();
+                let section = [centre[0] + scale * radius * cos, centre[1] + scale * radius * sin];
+                place(path, k, section, spin.fibre_radius)
             });
             let mut points: Vec<_> = points.collect();
             points.push(add(points[0], path.period, 1.0));
@@ -163,6 +174,6 @@ fn hair(path: &Path, spin: &Spin, look: u32, random: &mut Random) -> Curve {
 /// A shade near the yarn's own.
 fn shade(shades: &Range<u32>, yarn_shade: f64, random: &mut Random) -> u32 {
     let count = f64::from(shades.end - shades.start);
-    let at = 0.25 + 0.5 * yarn_shade + 0.16 * f64::from(random.normal());
+    let at = 0.25 + 0.5 * yarn_shade + SHADE_SPREAD * f64::from(random.normal());
     shades.start + (at * count).clamp(0.0, count - 1.0) as u32
 }

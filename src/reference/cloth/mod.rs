@@ -1,7 +1,8 @@
 //! Woven cloth down to the fibres: three materials, each a page of parameters.
 //!
-//! [`weave`] says which yarn is on top, [`yarn`] where each runs, [`fibres`] winds fibres along it. Everything repeats with the
-//! tile: a fibre that leaves the tile comes in again on the other side, at the same place and in the same direction.
+//! `weave` says which yarn is on top, `yarn` where each runs, `fibres` winds fibres along it. Everything repeats
+//! with the tile: a fibre that leaves the tile comes in again on the other side, at the same place and in the same
+//! direction.
 
 mod basket_cloth;
 mod fibres;
@@ -19,6 +20,7 @@ use super::fibre_shading::FibreLook;
 use crate::error::{Error, Result};
 use crate::random::{Random, Stream};
 use fibres::{Spin, Spun};
+use rayon::prelude::*;
 use std::ops::Range;
 use weave::Weave;
 use yarn::{Family, Lay, Path};
@@ -103,12 +105,15 @@ impl Design {
         let (mut curves, mut hairs) = (Vec::new(), Vec::new());
         for (family, yarns) in [(Family::Warp, self.weave.warps()), (Family::Weft, self.weave.wefts())] {
             let (lay, spin) = if family == Family::Warp { &self.warp } else { &self.weft };
-            for index in 0..yarns {
+            let spin_yarn = |index| {
                 let mut random = draw(seed, name, 1 + family as u64, index);
                 let path = Path::new(&self.weave, (family, index), lay, touching, spin.places, &mut random);
-                let Spun { endless, hairs: free } = fibres::spin(&path, spin, &mut random);
-                curves.extend(endless);
-                hairs.extend(free);
+                fibres::spin(&path, spin, &mut random)
+            };
+            let spun: Vec<Spun> = (0..yarns).into_par_iter().map(spin_yarn).collect();
+            for yarn in spun {
+                curves.extend(yarn.endless);
+                hairs.extend(yarn.hairs);
             }
         }
         let endless = curves.len();

@@ -1,5 +1,5 @@
-//! A lampas of two materials: matte, deep-coloured warp on the ground, glossy golden weft in the figure. The weave changes
-//! from warp-faced to weft-faced satin along the figure's outline.
+//! A lampas of two materials: matte, deep-coloured warp on the ground, glossy golden weft in the figure. The weave
+//! changes from warp-faced to weft-faced satin along the figure's outline.
 
 use super::fibres::Spin;
 use super::figure::Figure;
@@ -16,9 +16,9 @@ const FIGURE: [usize; 2] = [8, 5];
 
 /// Ground colours to choose from, linear RGB: crimson, peacock, bottle green, aubergine.
 const DYES: [[f32; 3]; 4] =
-    [[0.28, 0.012, 0.022], [0.010, 0.085, 0.16], [0.018, 0.10, 0.045], [0.12, 0.018, 0.10]];
+    [[0.17, 0.005, 0.010], [0.004, 0.035, 0.085], [0.007, 0.05, 0.018], [0.06, 0.007, 0.05]];
 /// Silk over a golden core.
-const GOLD: [f32; 3] = [0.92, 0.45, 0.08];
+const GOLD: [f32; 3] = [0.95, 0.37, 0.05];
 
 /// The parameters under one seed.
 pub fn design(seed: u64) -> Design {
@@ -29,7 +29,7 @@ pub fn design(seed: u64) -> Design {
     let gold = GOLD.map(|c| c * vary(random, 1.0, 0.04) as f32);
     let silk = FibreLook {
         colour: gold,
-        longitudinal_roughness: 0.38,
+        longitudinal_roughness: 0.45,
         azimuthal_roughness: 0.95,
         ior: 1.5,
         tilt: 0.0,
@@ -55,22 +55,22 @@ pub fn design(seed: u64) -> Design {
         plies: 2,
         ply_turns: 24,
         fibre_turns: -12,
-        fibres: 4,
-        fibre_radius: 0.0013,
+        fibres: 3,
+        fibre_radius: 0.0015,
         migration: 0.08,
         uneven: 0.1,
         loops: 0.02,
         loop_height: 0.5,
         hairs: 1,
         hair_length: 0.03,
-        places: 288,
+        places: 384,
         shades: warp_shades,
     };
     let weft_spin = Spin {
         plies: 1,
         ply_turns: 6,
         fibre_turns: 0,
-        fibres: 9,
+        fibres: 8,
         shades: weft_shades,
         hairs: 0,
         ..spin.clone()

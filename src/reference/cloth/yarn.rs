@@ -63,8 +63,8 @@ pub struct Path {
 }
 
 impl Path {
-    /// The path of yarn `index` of a family, at `places` places, at least 3. `touching` is the distance, in tile widths,
-    /// between the centres of two yarns that touch at a crossing.
+    /// The path of yarn `index` of a family, at `places` places, at least 3. `touching` is the distance, in tile
+    /// widths, between the centres of two yarns that touch at a crossing.
     pub fn new(
         weave: &Weave,
         (family, index): (Family, usize),

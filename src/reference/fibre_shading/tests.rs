@@ -68,7 +68,8 @@ fn over_sphere<const N: usize>(rule: &[(f64, f64)], f: impl Fn([f32; 3]) -> [f32
     sum
 }
 
-/// Single values are off by up to 5e-4, since the arc sine near h = 1 has half of h's digits; a mean over the sphere by less.
+/// Single values are off by up to 5e-4, since the arc sine near h = 1 has half of h's digits; the mean over the sphere
+/// by less.
 const FURNACE: f64 = 2e-5;
 
 #[test]
@@ -158,11 +159,14 @@ const MITSUBA: f32 = 5e-4;
 /// asymptote has half of the term 1 / (8 x).
 const MITSUBA_BESSEL: f32 = 6e-3;
 
+/// wo, wi, and what is expected of the rough and of the glossy look.
+type Row = ([f64; 3], [f64; 3], [f32; 3], [f32; 3]);
+
 #[test]
 fn agrees_with_mitsuba() {
     // wo and wi, before they are normalised; then what the `hair` plugin of Mitsuba 3.9.1 (scalar_rgb) says for LOOK,
     // and for colour (0.9, 0.6, 0.3), roughnesses 0.3, ior 1.5, tilt 3. Its y is our x and its x our y.
-    let rows: [([f64; 3], [f64; 3], [f32; 3], [f32; 3]); 5] = [
+    let rows: [Row; 5] = [
         (
             [0.2, 0.3, 0.93],
             [-0.3, 0.5, 0.8],
@@ -190,7 +194,7 @@ fn agrees_with_mitsuba() {
         ),
     ];
     let worst = |look: FibreLook, glossy: bool| {
-        let off = |(wo, wi, rough, sharp): ([f64; 3], [f64; 3], [f32; 3], [f32; 3])| {
+        let off = |(wo, wi, rough, sharp): Row| {
             let wo = unit(wo);
             let value = bsdf(look).eval(offset(wo), unit(wi), wo);
             let expected = if glossy { sharp } else { rough };
@@ -215,8 +219,8 @@ fn refract(d: [f64; 3], n: [f64; 3], ratio: f64) -> [f64; 3] {
     std::array::from_fn(|c| ratio * d[c] + (ratio * cos - cos_t) * n[c])
 }
 
-/// How far the ray that is traced back from the viewer leaves the round fibre from the azimuth of lobe `p`, for p = 0, 1, 2,
-/// and how far from the mirrored longitude.
+/// How far from the azimuth of lobe `p` the ray that is traced back from the viewer leaves the fibre after p
+/// segments inside, plus how far from the mirrored longitude.
 fn traced_error(ior: f64, wo: [f32; 3], p: usize, h: f32) -> f64 {
     let n = [0.0, 0.0, 1.0];
     let eye = wo.map(f64::from);
@@ -256,16 +260,17 @@ fn lobes_point_where_a_ray_through_a_glass_cylinder_goes() {
             continue;
         }
         rays += 1;
-        for p in 0..3 {
+        for (p, bent) in bent.iter_mut().enumerate() {
             assert!(traced_error(1.5, wo, p, h) < AZIMUTH, "{p} {h} {}", traced_error(1.5, wo, p, h));
-            bent[p] += u32::from(traced_error(1.5, wo, p, h + 1e-3) > AZIMUTH);
+            *bent += u32::from(traced_error(1.5, wo, p, h + 1e-3) > AZIMUTH);
         }
     }
     // Near its caustic TRT goes the same way from two offsets.
     assert!(bent[0] == rays && bent[1] == rays && bent[2] > rays * 9 / 10, "{bent:?} of {rays}");
 }
 
-/// (z of Wilson and Hilferty 1931 for chi-square, number of bins) of directions drawn by `drawn` under the density of `claimed`.
+/// (z of chi-square by Wilson and Hilferty 1931, number of bins) of directions drawn by `drawn` under the density of
+/// `claimed`.
 fn chi_square(drawn: FibrePoint, claimed: FibrePoint, seed: u64) -> (f64, usize) {
     const THETAS: usize = 12;
     const PHIS: usize = 24;
@@ -355,9 +360,9 @@ fn a_weight_is_the_value_over_the_density() {
         let pdf = coloured.pdf(h, sampled.direction, wo);
         let value = coloured.eval(h, sampled.direction, wo);
         assert_eq!(pdf, sampled.pdf);
-        for c in 0..3 {
-            assert!((sampled.weight[c] * pdf - value[c]).abs() <= WEIGHT * value[c]);
-            assert!((sampled.weight[c] * pdf * 1.00001 - value[c]).abs() > WEIGHT * value[c]);
+        for (weight, value) in sampled.weight.into_iter().zip(value) {
+            assert!((weight * pdf - value).abs() <= WEIGHT * value);
+            assert!((weight * pdf * 1.00001 - value).abs() > WEIGHT * value);
         }
         let white = bsdf(FibreLook { colour: [1.0; 3], ..look }).sample(h, wo, numbers).unwrap();
         assert!(white.weight.iter().all(|w| (w - 1.0).abs() < WEIGHT), "{:?}", white.weight);
@@ -440,8 +445,8 @@ fn asymmetry(look: FibreLook) -> f64 {
     difference / sum
 }
 
-/// Greatest [`asymmetry`] by longitudinal roughness at azimuthal roughness 0.3, without tilt: what was measured with two
-/// seeds and 129 offsets (0.033, 0.098, 0.172, 0.356) and its noise over 4000 pairs.
+/// Greatest [`asymmetry`] by longitudinal roughness at azimuthal roughness 0.3, without tilt: what was measured with
+/// two seeds and 129 offsets (0.033, 0.098, 0.172, 0.356) and its noise over 4000 pairs.
 const ASYMMETRY: [(f32, f64); 4] = [(0.1, 0.04), (0.3, 0.115), (0.5, 0.185), (1.0, 0.37)];
 
 #[test]

@@ -4,8 +4,9 @@ use super::file::{Colour, Convention, MaterialFile, Scalar};
 use super::lookalikes::lookalikes;
 use super::normals;
 use crate::error::{Error, Result};
-use crate::reference::map_file::{self, MapImage};
+use crate::reference::map_file::{self, MapImage, png_value};
 use crate::reference::tiling::Grid;
+use crate::srgb;
 use std::path::{Path, PathBuf};
 
 /// A property: the same everywhere, or a map.
@@ -97,7 +98,10 @@ impl Loader<'_> {
         // Before decoding: equal steps of sRGB look equal.
         self.measure(field, &path, &grid, 1.0);
         if is_png {
-            grid.texels.iter_mut().for_each(|t| *t = t.map(srgb_to_linear));
+            // PNG holds at most 16 bits, so a table has every value.
+            let table: Vec<f32> = (0..=u16::MAX).map(|v| srgb::decode(png_value(v))).collect();
+            let linear = |v: f32| table[(v * f32::from(u16::MAX)).round() as usize];
+            grid.texels.iter_mut().for_each(|t| *t = t.map(linear));
         }
         Ok(Source::Map(map.clone(), grid))
     }
@@ -158,23 +162,4 @@ fn span(grid: &Grid<1>) -> f64 {
     let low = grid.texels.iter().fold(f32::INFINITY, |a, t| a.min(t[0]));
     let high = grid.texels.iter().fold(f32::NEG_INFINITY, |a, t| a.max(t[0]));
     f64::from(high) - f64::from(low)
-}
-
-/// The sRGB transfer function of IEC 61966-2-1, from \[0, 1\] to linear.
-fn srgb_to_linear(v: f32) -> f32 {
-    let v = f64::from(v);
-    (if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }) as f32
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn srgb_meets_its_published_values() {
-        assert_eq!(srgb_to_linear(0.0), 0.0);
-        assert_eq!(srgb_to_linear(1.0), 1.0);
-        // Mid grey 188 / 255 is half the light, to the three digits in which it is usually quoted.
-        assert!((srgb_to_linear(188.0 / 255.0) - 0.5029).abs() < 1e-4);
-    }
 }

@@ -103,14 +103,16 @@ impl Rays {
 
     /// How many rays still fall, and where the first does, in tile widths.
     fn falling(&self) -> (usize, [f64; 2]) {
-        let falls = |k: &usize| {
-            let column = k % (SIDE + 1);
-            column < SIDE && usize::from(self.next[*k]) == column
-        };
-        let first = (0..self.next.len()).find(falls).unwrap_or(0);
         let place = |cell: usize| (cell as f64 + SHIFT) / SIDE as f64;
-        let count = (0..self.next.len()).filter(falls).count();
-        (count, [place(first % (SIDE + 1)), place(first / (SIDE + 1))])
+        let (mut count, mut first) = (0, None);
+        for (row, links) in self.next.chunks_exact(SIDE + 1).enumerate() {
+            for (column, _) in links[..SIDE].iter().enumerate().filter(|(k, link)| usize::from(**link) == *k)
+            {
+                count += 1;
+                first = first.or(Some([place(column), place(row)]));
+            }
+        }
+        (count, first.unwrap_or_default())
     }
 }
 

@@ -223,7 +223,7 @@ fn damaged_files_do_no_harm() {
     let mut refused = 0;
     for (name, bytes) in [("mesh.obj", obj), ("mesh.ply", sample.ply())] {
         read_bytes(name, &bytes, &UNIT).unwrap();
-        for k in 0..300 {
+        for k in 0..90 {
             let mut random = Random::new(8, Stream::Probe, k);
             let mut damaged = bytes.clone();
             if k % 3 == 0 {
@@ -249,5 +249,5 @@ fn damaged_files_do_no_harm() {
             }
         }
     }
-    assert!(refused > 200, "most damage must show: {refused}");
+    assert!(refused > 60, "most damage must show: {refused}");
 }

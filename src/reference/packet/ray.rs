@@ -159,10 +159,13 @@ impl Rays {
 
     /// Where the rays meet the patches that they are over.
     #[inline(always)]
-    pub fn meet<const NORMALS: bool>(&self, field: &Heightfield, steps: &Steps, out: &mut Meetings) {
+    pub fn meet<const NORMALS: bool>(&self, field: &Heightfield, steps: &Steps, held: u32, out: &mut Meetings) {
         let (w, h) = (field.width as f64, field.height as f64);
         let (mut h00, mut rise_x, mut rise_y, mut twist) = ([0.0; GROUP], [0.0; GROUP], [0.0; GROUP], [0.0; GROUP]);
-        for k in 0..GROUP {
+        let mut left = held;
+        while left != 0 {
+            let k = left.trailing_zeros() as usize % GROUP;
+            left &= left - 1;
             let (column, row) = (steps.column.0[k] as u32 as usize, steps.row.0[k] as u32 as usize);
             let patch = field.patch(row.min(field.height - 1), column.min(field.width - 1));
             (h00[k], rise_x[k], rise_y[k], twist[k]) = (patch.h00, patch.rise_x, patch.rise_y, patch.twist);
