@@ -43,14 +43,14 @@ fn answer(output: std::process::Output) -> Answer {
 }
 
 /// As [`neumip`], and it must succeed.
-fn succeed(folder: &Path, line: &str) -> String {
+pub fn succeed(folder: &Path, line: &str) -> String {
     let Answer { code, said, complained } = neumip(folder, line);
     assert_eq!((code, complained.as_str()), (Some(0), ""), "neumip {line}");
     said
 }
 
 /// Every file (with its bytes) and folder under a folder.
-fn contents(folder: &Path) -> BTreeMap<PathBuf, Option<Vec<u8>>> {
+pub fn contents(folder: &Path) -> BTreeMap<PathBuf, Option<Vec<u8>>> {
     let mut found = BTreeMap::new();
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
@@ -114,14 +114,14 @@ static SHARED: LazyLock<TempDir> = LazyLock::new(|| {
 });
 
 /// A copy of [`SHARED`] for one test.
-fn workshop() -> TempDir {
+pub fn workshop() -> TempDir {
     let workshop = empty_workshop();
     copy(SHARED.path(), workshop.path());
     workshop
 }
 
 /// `FOLDER/NAME/material.json` with some fields set, or removed where null.
-fn write_material(folder: &Path, name: &str, fields: &Value) {
+pub fn write_material(folder: &Path, name: &str, fields: &Value) {
     let mut material = json!({
         "version": 1, "name": "tile", "height": "height.png", "displacement": 0.05,
         "base_colour": [0.5, 0.4, 0.3], "roughness": 0.5,
@@ -135,10 +135,10 @@ fn write_material(folder: &Path, name: &str, fields: &Value) {
 }
 
 /// A line that is refused, its exit code, and what the one line of the error holds: the file, flag or field at fault.
-type Refusal<'a> = (&'a str, i32, &'a [&'a str]);
+pub type Refusal<'a> = (&'a str, i32, &'a [&'a str]);
 
 /// Runs lines that must be refused and must leave everything in the folder as it was, temporary siblings included.
-fn refused(folder: &Path, cases: &[Refusal]) {
+pub fn refused(folder: &Path, cases: &[Refusal]) {
     let before = contents(folder);
     for (line, code, named) in cases {
         let Answer { code: given, complained, .. } = neumip(folder, line);

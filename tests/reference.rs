@@ -4,7 +4,7 @@ use neumip::query::{QueryBuffer, Reflectance, unit};
 use neumip::random::{Random, Stream};
 use neumip::reference::{
     Brdf, HeightMap, Heightfield, Layer, Material, Measured, Paint, Part, Reference, ReferenceOptions,
-    Sampling, Texture, builtin, maps,
+    Sampling, Texture, View, builtin, maps,
 };
 use std::f32::consts::PI;
 use std::path::Path;
@@ -98,7 +98,7 @@ fn distant_lights_add_up_to_the_sky() {
         estimate(40_000, |random| {
             let p = [random.uniform_f64(), random.uniform_f64()];
             let (wi, wo) = (hemisphere(random), unit64([0.3, 0.2]));
-            2.0 * PI * reference.geometry().radiance(p, wi, wo, bounces, random, &mut 0)[0]
+            2.0 * PI * reference.geometry().radiance(p, &View { wi, wo, bounces }, random)[0]
         })
     };
     assert!(is_one(all_lights(64)));

@@ -5,7 +5,7 @@ use neumip::random::{Random, Stream};
 use neumip::reference::bvh::{Curve, TriangleMesh};
 use neumip::reference::{
     FibreLook, Geometry, HeightMap, Heightfield, Layer, Material, Paint, Part, Reference, ReferenceOptions,
-    Sampling, Texture, builtin,
+    Sampling, Texture, View, builtin,
 };
 use std::f64::consts::{PI, TAU};
 
@@ -152,7 +152,7 @@ fn distant_lights_of_every_kind_add_up_to_the_sky() {
             estimate(20_000, |random| {
                 let p = [random.uniform_f64(), random.uniform_f64()];
                 let (wi, wo) = (hemisphere(random), unit([0.3, 0.2]).map(f64::from));
-                TAU as f32 * geometry.radiance(p, wi, wo, bounces, random, &mut 0)[0]
+                TAU as f32 * geometry.radiance(p, &View { wi, wo, bounces }, random)[0]
             })
         };
         let all = all_lights(64);

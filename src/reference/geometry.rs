@@ -121,6 +121,23 @@ impl Geometry {
         nearest
     }
 
+    /// [`Geometry::intersect`] for many rays of one direction.
+    pub fn intersect_all<'a>(
+        &'a self,
+        origins: &[[f64; 3]],
+        direction: [f64; 3],
+        points: &mut Vec<Option<Point<'a>>>,
+    ) {
+        points.clear();
+        points.extend(origins.iter().map(|origin| self.intersect(*origin, direction)));
+    }
+
+    /// [`Geometry::occluded`] for many rays of one direction.
+    pub fn occluded_all(&self, origins: &[[f64; 3]], direction: [f64; 3], blocked: &mut Vec<bool>) {
+        blocked.clear();
+        blocked.extend(origins.iter().map(|origin| self.occluded(*origin, direction)));
+    }
+
     /// True if a ray meets anything on its way out.
     pub fn occluded(&self, origin: [f64; 3], direction: [f64; 3]) -> bool {
         self.objects.iter().any(|object| object.occluded(origin, direction))

@@ -36,6 +36,7 @@ pub mod tiling;
 pub use fibre_shading::FibreLook;
 pub use geometry::Geometry;
 pub use heightfield::{HeightMap, Heightfield};
+pub use integrator::{Paths, View};
 pub use material::{Layer, Material, Paint, Part};
 pub use shading::Brdf;
 pub use texture::Texture;
@@ -220,9 +221,9 @@ impl Reference {
             let mut random = Random::new(0, Stream::Probe, k as u64);
             (queries.wi[k], queries.wo[k]) = (random.disc(0.99), random.disc(0.99));
         }
-        let (mut samples, mut hash) = (Vec::new(), 0);
+        let (mut scratch, mut hash) = (Scratch::default(), 0);
         for k in 0..queries.len() {
-            let (rgb, _) = self.answer(&queries, k, &sampling, &strata, &mut samples, &mut 0);
+            let (rgb, _) = self.answer(&queries, k, &sampling, &strata, &mut scratch);
             hash = rgb.iter().fold(hash, |hash, v| random::hash(hash ^ u64::from(v.to_bits())));
         }
         format!("{hash:016x}")
@@ -252,11 +253,11 @@ impl Reference {
         let strata = Strata::new(sampling.spp);
         let mut answers = vec![([0.0; 3], 0.0); queries.len()];
         let chunks = answers.par_chunks_mut(CHUNK).enumerate().map(|(chunk, answers)| {
-            let (mut samples, mut rays) = (Vec::with_capacity(sampling.spp), 0);
+            let mut scratch = Scratch::default();
             for (k, answer) in answers.iter_mut().enumerate() {
-                *answer = self.answer(queries, chunk * CHUNK + k, sampling, &strata, &mut samples, &mut rays);
+                *answer = self.answer(queries, chunk * CHUNK + k, sampling, &strata, &mut scratch);
             }
-            rays
+            scratch.rays
         });
         let rays = chunks.sum();
         let (pixels, variance) = answers.into_iter().unzip();
@@ -264,29 +265,38 @@ impl Reference {
         Ok(Measured { rgb, variance, rays })
     }
 
-    fn answer(
-        &self,
+    fn answer<'a>(
+        &'a self,
         queries: &QueryBuffer,
         k: usize,
         sampling: &Sampling,
         strata: &Strata,
-        samples: &mut Vec<[f32; 3]>,
-        rays: &mut u64,
+        scratch: &mut Scratch<'a>,
     ) -> ([f32; 3], f32) {
         if !above_horizon(queries.wi[k]) || !above_horizon(queries.wo[k]) {
             return ([0.0; 3], 0.0);
         }
-        let (wi, wo) = (unit(queries.wi[k]), unit(queries.wo[k]));
+        let view = View { wi: unit(queries.wi[k]), wo: unit(queries.wo[k]), bounces: self.bounces };
         let footprint = Footprint::new(queries.u[k], queries.level[k], self.resolution);
         let mut random = Random::new(sampling.seed, Stream::Reference, sampling.first.wrapping_add(k as u64));
-        samples.clear();
-        for stratum in 0..strata.len() {
+        let Scratch { positions, paths, samples, rays } = scratch;
+        positions.clear();
+        positions.extend((0..strata.len()).map(|stratum| {
             let jitter = [random.uniform(), random.uniform()].map(f64::from);
-            let p = footprint.point(strata.point(stratum, jitter));
-            samples.push(self.geometry.radiance(p, wi, wo, self.bounces, &mut random, rays));
-        }
+            footprint.point(strata.point(stratum, jitter))
+        }));
+        *rays += self.geometry.radiances(positions, &view, &mut random, paths, samples);
         mean_and_variance(samples)
     }
+}
+
+/// What a thread keeps between answers.
+#[derive(Default)]
+struct Scratch<'a> {
+    positions: Vec<[f64; 2]>,
+    paths: Paths<'a>,
+    samples: Vec<[f32; 3]>,
+    rays: u64,
 }
 
 impl Reflectance for Reference {

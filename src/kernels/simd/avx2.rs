@@ -135,6 +135,9 @@ impl Simd for Avx2 {
         int_add(a: __m256i, b: __m256i) -> __m256i = _mm256_add_epi32(a, b);
         int_sub(a: __m256i, b: __m256i) -> __m256i = _mm256_sub_epi32(a, b);
         int_mul(a: __m256i, b: __m256i) -> __m256i = _mm256_mullo_epi32(a, b);
+        int_max(a: __m256i, b: __m256i) -> __m256i = _mm256_max_epi32(a, b);
+        int_min(a: __m256i, b: __m256i) -> __m256i = _mm256_min_epi32(a, b);
+        int_select(mask: __m256, a: __m256i, b: __m256i) -> __m256i = _mm256_blendv_epi8(b, a, _mm256_castps_si256(mask));
         int_and(a: __m256i, b: __m256i) -> __m256i = _mm256_and_si256(a, b);
         int_xor(a: __m256i, b: __m256i) -> __m256i = _mm256_xor_si256(a, b);
     }

@@ -150,6 +150,9 @@ impl Simd for Avx512 {
         int_add(a: __m512i, b: __m512i) -> __m512i = _mm512_add_epi32(a, b);
         int_sub(a: __m512i, b: __m512i) -> __m512i = _mm512_sub_epi32(a, b);
         int_mul(a: __m512i, b: __m512i) -> __m512i = _mm512_mullo_epi32(a, b);
+        int_max(a: __m512i, b: __m512i) -> __m512i = _mm512_max_epi32(a, b);
+        int_min(a: __m512i, b: __m512i) -> __m512i = _mm512_min_epi32(a, b);
+        int_select(mask: __mmask16, a: __m512i, b: __m512i) -> __m512i = _mm512_mask_blend_epi32(mask, b, a);
         int_and(a: __m512i, b: __m512i) -> __m512i = _mm512_and_si512(a, b);
         int_xor(a: __m512i, b: __m512i) -> __m512i = _mm512_xor_si512(a, b);
     }

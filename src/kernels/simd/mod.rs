@@ -96,6 +96,12 @@ pub trait Simd: Copy + Send + Sync {
     fn int_sub(self, a: Self::I, b: Self::I) -> Self::I;
     /// a b, wrapping.
     fn int_mul(self, a: Self::I, b: Self::I) -> Self::I;
+    /// The larger.
+    fn int_max(self, a: Self::I, b: Self::I) -> Self::I;
+    /// The smaller.
+    fn int_min(self, a: Self::I, b: Self::I) -> Self::I;
+    /// `a` where true, else `b`.
+    fn int_select(self, mask: Self::M, a: Self::I, b: Self::I) -> Self::I;
     /// a and b.
     fn int_and(self, a: Self::I, b: Self::I) -> Self::I;
     /// a exclusive-or b.

@@ -172,6 +172,22 @@ impl Simd for Portable {
         zip(a, b, i32::wrapping_mul)
     }
     #[inline(always)]
+    fn int_max(self, a: Self::I, b: Self::I) -> Self::I {
+        zip(a, b, i32::max)
+    }
+    #[inline(always)]
+    fn int_min(self, a: Self::I, b: Self::I) -> Self::I {
+        zip(a, b, i32::min)
+    }
+    #[inline(always)]
+    fn int_select(self, mask: Self::M, a: Self::I, b: Self::I) -> Self::I {
+        let mut out = b;
+        for i in 0..N {
+            out[i] = if mask[i] { a[i] } else { b[i] };
+        }
+        out
+    }
+    #[inline(always)]
     fn int_and(self, a: Self::I, b: Self::I) -> Self::I {
         zip(a, b, |a, b| a & b)
     }

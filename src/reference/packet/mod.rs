@@ -12,7 +12,7 @@ use crate::error::Result;
 use crate::kernels::simd::{Isa, Simd, Work, dispatch};
 use ceiling::Ceiling;
 use ray::{Meetings, Rays};
-use walk::{Chunk, GROUP, Steps};
+use walk::{GROUP, Steps};
 
 /// A heightfield with what packets of rays need besides.
 #[derive(Clone, Debug)]
@@ -92,78 +92,63 @@ impl<R: Fn(usize) -> ([f64; 3], [f64; 3]), F: FnMut(usize, &Meetings, usize), co
     fn run<S: Simd>(mut self, s: S) {
         let field = &self.tracer.field;
         let ceiling = &self.tracer.ceiling;
-        let mut steps = [Steps::default(); GROUPS];
-        let mut rays: [Rays; GROUPS] = Default::default();
+        let mut steps = Steps::default();
+        let mut rays = Rays::default();
         let mut meetings = Meetings::default();
-        let largest = (1_u32 << ceiling.top) as f32;
-        for first in (0..self.count).step_by(GROUP * GROUPS) {
-            let mut live = [0; GROUPS];
-            for g in 0..GROUPS {
-                let first = first + g * GROUP;
-                if first >= self.count {
-                    break;
-                }
-                let n = GROUP.min(self.count - first);
-                for k in 0..GROUP {
-                    let (origin, direction) = (self.ray)(first + k.min(n - 1));
-                    rays[g].set(k, origin, direction);
-                }
-                live[g] = rays[g].start(field, largest, &mut steps[g]) & (ALL >> (GROUP - n));
+        let largest = ceiling.largest as f32;
+        for first in (0..self.count).step_by(GROUP) {
+            let n = GROUP.min(self.count - first);
+            for k in 0..GROUP {
+                let (origin, direction) = (self.ray)(first + k.min(n - 1));
+                rays.set(k, origin, direction);
             }
-            while live != [0; GROUPS] {
-                let mut held = [0; GROUPS];
-                walk_all(s, ceiling, &mut steps, live, &mut held);
-                for g in 0..GROUPS {
-                    let held = held[g];
-                    for k in 0..GROUP {
-                        if (live[g] & !held) >> k & 1 == 1 && !rays[g].next_tile(field, k, &mut steps[g]) {
-                            live[g] &= !(1 << k);
-                        }
-                    }
-                    if held == 0 {
-                        continue;
-                    }
-                    rays[g].meet::<NORMALS>(field, &steps[g], held, &mut meetings);
+            let (near, inside) = rays.start(field, largest, &mut steps);
+            let mut live = near & (ALL >> (GROUP - n));
+            let mut held = inside & live;
+            loop {
+                if held != 0 {
+                    rays.meet::<NORMALS>(field, ceiling, &steps, held, &mut meetings);
                     for k in 0..GROUP {
                         if held >> k & 1 == 1 {
                             if meetings.met[k] {
-                                (self.found)(first + g * GROUP + k, &meetings, k);
-                                live[g] &= !(1 << k);
+                                (self.found)(first + k, &meetings, k);
+                                live &= !(1 << k);
                             } else {
-                                steps[g].pass.0[k] = 1.0;
+                                steps.pass.0[k] = 1.0;
                             }
                         }
                     }
                 }
-            }
-        }
-    }
-}
-
-const GROUPS: usize = 2;
-
-#[inline(always)]
-fn walk_all<S: Simd>(s: S, ceiling: &Ceiling, steps: &mut [Steps; GROUPS], live: [u32; GROUPS], held: &mut [u32; GROUPS]) {
-    let mut waiting: Option<Chunk> = None;
-    let all = ((1_u64 << S::LANES) - 1) as u32;
-    for group in 0..GROUPS {
-        for at in (0..GROUP).step_by(S::LANES) {
-            let chunk = Chunk { group, at, idle: !live[group] >> at };
-            if chunk.idle & all == all {
-                continue;
-            }
-            match waiting.take() {
-                None => waiting = Some(chunk),
-                Some(other) => {
-                    let stopped = walk::walk(s, ceiling, steps, [other, chunk]);
-                    held[other.group] |= (stopped[0].held & !other.idle) << other.at;
-                    held[group] |= (stopped[1].held & !chunk.idle) << at;
+                if live == 0 {
+                    break;
+                }
+                held = 0;
+                let mut struck = 0;
+                for at in (0..GROUP).step_by(S::LANES) {
+                    let idle = !live >> at;
+                    let all = ((1_u64 << S::LANES) - 1) as u32;
+                    if idle & all == all {
+                        continue;
+                    }
+                    let stopped = if NORMALS {
+                        walk::walk::<S, false>(s, ceiling, &mut steps, at, idle)
+                    } else {
+                        walk::walk::<S, true>(s, ceiling, &mut steps, at, idle)
+                    };
+                    held |= (stopped.held & !idle) << at;
+                    struck |= (stopped.struck & !idle) << at;
+                }
+                for k in 0..GROUP {
+                    if (live & !held) >> k & 1 == 1 {
+                        if struck >> k & 1 == 1 {
+                            (self.found)(first + k, &meetings, k);
+                            live &= !(1 << k);
+                        } else if !rays.next_tile(field, k, &mut steps) {
+                            live &= !(1 << k);
+                        }
+                    }
                 }
             }
         }
-    }
-    if let Some(chunk) = waiting {
-        let [stopped] = walk::walk(s, ceiling, steps, [chunk]);
-        held[chunk.group] |= (stopped.held & !chunk.idle) << chunk.at;
     }
 }

@@ -2,6 +2,7 @@
 //!
 //! Loops over the lanes of a group are written without branches, so that the compiler makes vectors of them.
 
+use super::ceiling::Ceiling;
 use super::walk::{Each, GROUP, Steps};
 use crate::reference::heightfield::Heightfield;
 use crate::reference::raycast::{Hit, MAX_DISTANCE};
@@ -69,11 +70,12 @@ impl Rays {
 
     /// Rays that come near the surface, a bit each.
     #[inline(always)]
-    pub fn start(&mut self, field: &Heightfield, largest: f32, steps: &mut Steps) -> u32 {
+    pub fn start(&mut self, field: &Heightfield, largest: f32, steps: &mut Steps) -> (u32, u32) {
         let (w, h) = (field.width as f64, field.height as f64);
         let (floor, ceiling) = (field.low - SLAB_MARGIN, field.high + SLAB_MARGIN);
         let mut at = [[0.0; GROUP]; 2];
         let mut near = [0_u32; GROUP];
+        let mut inside = [0_u32; GROUP];
         for k in 0..GROUP {
             let (ox, oy, oz) = (self.origin[0][k] * w - 0.5, self.origin[1][k] * h - 0.5, self.origin[2][k]);
             let (dx, dy, dz) = (self.direction[0][k] * w, self.direction[1][k] * h, self.direction[2][k]);
@@ -83,6 +85,7 @@ impl Rays {
             let leave = (if dz > 0.0 { ceiling } else { floor } - oz) * inv_z;
             let leave = if dz == 0.0 { f64::INFINITY } else { leave };
             near[k] = u32::from(!((oz > ceiling) & (dz >= 0.0))) << k;
+            inside[k] = u32::from(oz < field.high - SLAB_MARGIN) << k;
             let (x, y) = (ox + dx * t, oy + dy * t);
             let (tile_x, tile_y) = ((x / w).floor() * w, (y / h).floor() * h);
             (self.o[0][k], self.o[1][k], self.o[2][k]) = (ox, oy, oz);
@@ -113,16 +116,17 @@ impl Rays {
             steps.end.0[k] = (least(least(tx, ty), self.end[k]) - t) as f32;
             steps.column.0[k] = least(most(x.floor(), 0.0), w - 1.0) as f32;
             steps.row.0[k] = least(most(y.floor(), 0.0), h - 1.0) as f32;
-            let side = if dz < 0.0 { START_DOWNWARDS } else { 1.0 };
+            let side = if inside[k] == 0 { START_DOWNWARDS } else { 1.0 };
             steps.side.0[k] = if side < largest { side } else { largest };
         }
         steps.t = Each([0.0; GROUP]);
         steps.pass = Each([0.0; GROUP]);
-        let mut bits = 0;
+        let (mut bits, mut within) = (0, 0);
         for k in 0..GROUP {
             bits |= near[k];
+            within |= inside[k];
         }
-        bits
+        (bits, within)
     }
 
     /// Goes on behind the border of the tile; false where the ray ends before.
@@ -159,7 +163,7 @@ impl Rays {
 
     /// Where the rays meet the patches that they are over.
     #[inline(always)]
-    pub fn meet<const NORMALS: bool>(&self, field: &Heightfield, steps: &Steps, held: u32, out: &mut Meetings) {
+    pub fn meet<const NORMALS: bool>(&self, field: &Heightfield, ceiling: &Ceiling, steps: &Steps, held: u32, out: &mut Meetings) {
         let (w, h) = (field.width as f64, field.height as f64);
         let (mut h00, mut rise_x, mut rise_y, mut twist) = ([0.0; GROUP], [0.0; GROUP], [0.0; GROUP], [0.0; GROUP]);
         let mut left = held;
@@ -167,8 +171,8 @@ impl Rays {
             let k = left.trailing_zeros() as usize % GROUP;
             left &= left - 1;
             let (column, row) = (steps.column.0[k] as u32 as usize, steps.row.0[k] as u32 as usize);
-            let patch = field.patch(row.min(field.height - 1), column.min(field.width - 1));
-            (h00[k], rise_x[k], rise_y[k], twist[k]) = (patch.h00, patch.rise_x, patch.rise_y, patch.twist);
+            let [a, b, c, d] = ceiling.corners(row, column).map(f64::from);
+            (h00[k], rise_x[k], rise_y[k], twist[k]) = (a, b - a, c - a, a - b - c + d);
         }
         for k in 0..GROUP {
             let (dx, dy, dz) = (self.d[0][k], self.d[1][k], self.d[2][k]);
