@@ -39,7 +39,7 @@ const TILT: f64 = 2.0;
 const ROUGHER: f32 = 1.1;
 
 /// Our samples a pixel.
-const SPP: usize = 256;
+const SPP: usize = 64;
 /// Independent renders of Mitsuba, whose spread says how noisy their mean is, and samples a pixel in each.
 const RENDERS: usize = 4;
 const RENDER_SPP: usize = 25;
@@ -322,10 +322,9 @@ z = 0, and a distant light of irradiance 1 on a plane facing it. Mitsuba's `path
 Lambert; the layered GGX is written again in Python over Mitsuba's own microfacets (`tests/mitsuba_render.py`); fibres are
 `bsplinecurve` with `hair`, ours are polylines along the same splines. The tile stands {tiles} x {tiles} times beside itself.
 
-- **mean difference**: sum(ours - theirs) / sum(theirs); at most {bias:.0} % and {LARGEST_DEVIATION:.0} standard errors, by the
-  noise of both; for `field`, whose smooth patches Mitsuba gets as {patch} triangles each, at most {faceting:.1} %. Our noise is
-  the variance stored with every answer ({SPP} samples a pixel), Mitsuba's is the spread of {RENDERS} independent renders of
-  {RENDER_SPP} samples a pixel.
+- **mean difference**: sum(ours - theirs) / sum(theirs); at most {bias:.0} % and {LARGEST_DEVIATION:.0} standard errors, by the noise of both.
+  For `field`, whose smooth patches Mitsuba gets as {patch} triangles each, at most {faceting:.1} %. Our noise is the variance stored
+  with every answer ({SPP} samples a pixel), Mitsuba's is the spread of {RENDERS} independent renders of {RENDER_SPP} samples a pixel.
 - **RMSE / predicted noise**: {low} to {high}; 1 if the images differ by noise alone and as much noise is predicted as there is.
 
 Directions are a polar angle and an azimuth. Pictures: ours, Mitsuba's, ten times their difference around grey; a column for

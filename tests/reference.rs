@@ -459,8 +459,8 @@ fn a_level_is_the_average_of_the_finer_one() {
     )
     .unwrap();
     // If the levels agree and the variances are right, the first is a standard normal number and the second is near 1;
-    // collapsed strata overestimate the variance, and few pairs give it tails, so the second has room both ways.
-    let consistent = |(sum, rms): (f64, f64)| sum.abs() < 4.0 && (0.4..1.4).contains(&rms);
+    // 16 pairs of samples give a variance tails, so the second has room upwards.
+    let consistent = |(sum, rms): (f64, f64)| sum.abs() < 4.0 && (0.8..1.4).contains(&rms);
     let clean = level_mismatch(&reference, 1.0);
     assert!(consistent(clean), "{clean:?}");
     assert!(!consistent(level_mismatch(&reference, 1.03)), "3 % too much at the coarse level must show");
@@ -540,8 +540,8 @@ fn write_maps(folder: &Path) {
     };
     exr("grey.exr", &|k| f32::from(grey(k as u32)) / 255.0);
     exr("nan.exr", &|k| if k == 5 { f32::NAN } else { 0.5 });
-    exr("negative.exr", &|k| k as f32 - 1.0);
-    exr("tall.exr", &|k| 1000.0 * k as f32);
+    exr("negative.exr", &|k| (k % 2) as f32 - 0.5);
+    exr("tall.exr", &|k| 1000.0 * (k % 2) as f32);
 }
 
 /// Opens a material.json with the given fields beside the test's maps.

@@ -2,7 +2,7 @@
 
 use neumip::query::{QueryBuffer, unit};
 use neumip::random::{Random, Stream};
-use neumip::reference::bvh::{Curve, TriangleMesh};
+use neumip::reference::primitives::{Curve, TriangleMesh};
 use neumip::reference::{
     FibreLook, Geometry, HeightMap, Heightfield, Layer, Material, Paint, Part, Reference, ReferenceOptions,
     Sampling, Texture, View, builtin,

@@ -138,7 +138,10 @@ impl Generate {
 
 /// Tilt and pan from `TILT,PAN`.
 fn parse_light(text: &str) -> std::result::Result<[f32; 2], String> {
-    let parsed = text.split_once(',').and_then(|(tilt, pan)| Some([tilt.parse().ok()?, pan.parse().ok()?]));
+    let parsed = text.split_once(',').and_then(|(tilt, pan)| {
+        let pan: f32 = pan.parse().ok()?;
+        Some([tilt.parse().ok()?, pan.rem_euclid(360.0)])
+    });
     parsed.ok_or_else(|| format!("{text} is no light such as 45,30: tilt and pan in degrees"))
 }
 

@@ -1,10 +1,10 @@
 //! The parts of a material as geometry: which of them a ray meets first, and how the point scatters light.
 
-use super::bvh::{Curves, Triangles};
 use super::fibre_shading::{self, FibreBsdf, FibrePoint};
 use super::frame::Frame;
 use super::heightfield::{HeightMap, Heightfield};
 use super::material::{Material, Paint, Part};
+use super::primitives::{Curves, Triangles};
 use super::raycast::Hit;
 use super::shading::Brdf;
 use super::texture::Texture;

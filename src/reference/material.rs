@@ -1,8 +1,8 @@
 //! What a surface is made of, wherever it came from.
 
-use super::bvh::{Curve, TriangleMesh};
 use super::fibre_shading::FibreLook;
 use super::heightfield::HeightMap;
+use super::primitives::{Curve, TriangleMesh};
 use super::shading::Brdf;
 use super::texture::Texture;
 

@@ -7,7 +7,7 @@
 //!      │
 //! material ─ parts: solid layers, sheets with holes, meshes, fibres; their maps
 //!      │
-//! heightfield + raycast, bvh ─ rays        shading, fibre_shading ─ the reflectance of a point
+//! heightfield + raycast, primitives ─ rays   shading, fibre_shading ─ the reflectance of a point
 //!      │                                        │
 //! geometry ─ the nearest part, its frame ───────┘
 //!      │
@@ -15,7 +15,7 @@
 //! ```
 
 pub mod builtin;
-pub mod bvh;
+
 pub mod cloth;
 pub mod fibre_shading;
 pub mod footprint;
@@ -27,6 +27,7 @@ pub mod map_file;
 pub mod maps;
 pub mod material;
 pub mod mesh_file;
+pub mod primitives;
 pub mod raycast;
 pub mod resample;
 pub mod shading;

@@ -1,7 +1,7 @@
 //! Tiles that both renderers get: fields as triangles and as bilinear patches, and a small cloth of curves.
 
-use neumip::reference::bvh::{Curve, TriangleMesh};
 use neumip::reference::fibre_shading::FibreBsdf;
+use neumip::reference::primitives::{Curve, TriangleMesh};
 use neumip::reference::{FibreLook, Layer, Material, Paint, Part, Texture, builtin};
 use serde_json::{Value, json};
 use std::f64::consts::TAU;

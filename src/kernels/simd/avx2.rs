@@ -81,9 +81,21 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn gather(self, from: &[f32], at: __m256i) -> __m256 {
-        let last = super::last_index(from);
+        let last = super::last_index(from, 1);
         // SAFETY: the token proves the instructions; no index exceeds the last one of the slice, unsigned.
         unsafe { _mm256_i32gather_ps::<4>(from.as_ptr(), _mm256_min_epu32(at, _mm256_set1_epi32(last))) }
+    }
+    #[inline(always)]
+    fn gather_pairs(self, from: &[f32], at: __m256i) -> (__m256, __m256) {
+        let last = super::last_index(from, 2);
+        // SAFETY: the token proves the instructions; no index exceeds the last one with a value behind it, unsigned.
+        unsafe {
+            let at = _mm256_min_epu32(at, _mm256_set1_epi32(last));
+            let pairs = |at| _mm256_castpd_ps(_mm256_i32gather_pd::<4>(from.as_ptr().cast(), at));
+            let (low, high) = (pairs(_mm256_castsi256_si128(at)), pairs(_mm256_extracti128_si256::<1>(at)));
+            let order = |x| _mm256_castpd_ps(_mm256_permute4x64_pd::<0xd8>(_mm256_castps_pd(x)));
+            (order(_mm256_shuffle_ps::<0x88>(low, high)), order(_mm256_shuffle_ps::<0xdd>(low, high)))
+        }
     }
     #[inline(always)]
     fn sums<const M: usize>(self, rows: &[__m256; M], out: &mut [f32; M]) {

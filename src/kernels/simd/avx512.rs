@@ -93,11 +93,36 @@ impl Simd for Avx512 {
         unsafe { _mm512_storeu_si512(to.as_mut_ptr().cast(), a) }
     }
     #[inline(always)]
+    fn both(self, a: __mmask16, b: __mmask16) -> __mmask16 {
+        a & b
+    }
+    #[inline(always)]
+    fn either(self, a: __mmask16, b: __mmask16) -> __mmask16 {
+        a | b
+    }
+    #[inline(always)]
+    fn mask_bits(self, mask: __mmask16) -> u32 {
+        u32::from(mask)
+    }
+    #[inline(always)]
     fn gather(self, from: &[f32], at: __m512i) -> __m512 {
-        let last = super::last_index(from);
+        let last = super::last_index(from, 1);
         // SAFETY: the token proves the instructions; no index exceeds the last one of the slice, unsigned.
         unsafe {
             _mm512_i32gather_ps::<4>(_mm512_min_epu32(at, _mm512_set1_epi32(last)), from.as_ptr().cast())
+        }
+    }
+    #[inline(always)]
+    fn gather_pairs(self, from: &[f32], at: __m512i) -> (__m512, __m512) {
+        let last = super::last_index(from, 2);
+        // SAFETY: the token proves the instructions; no index exceeds the last one with a value behind it, unsigned.
+        unsafe {
+            let at = _mm512_min_epu32(at, _mm512_set1_epi32(last));
+            let pairs = |at| _mm512_castpd_ps(_mm512_i32gather_pd::<4>(at, from.as_ptr().cast()));
+            let (low, high) = (pairs(_mm512_castsi512_si256(at)), pairs(_mm512_extracti64x4_epi64::<1>(at)));
+            let even = _mm512_set_epi32(30, 28, 26, 24, 22, 20, 18, 16, 14, 12, 10, 8, 6, 4, 2, 0);
+            let odd = _mm512_add_epi32(even, _mm512_set1_epi32(1));
+            (_mm512_permutex2var_ps(low, even, high), _mm512_permutex2var_ps(low, odd, high))
         }
     }
     #[inline(always)]
@@ -139,9 +164,6 @@ impl Simd for Avx512 {
         floor(a: __m512) -> __m512 = _mm512_roundscale_ps::<0x09>(a);
         greater(a: __m512, b: __m512) -> __mmask16 = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(a, b);
         select(mask: __mmask16, a: __m512, b: __m512) -> __m512 = _mm512_mask_blend_ps(mask, b, a);
-        both(a: __mmask16, b: __mmask16) -> __mmask16 = a & b;
-        either(a: __mmask16, b: __mmask16) -> __mmask16 = a | b;
-        mask_bits(mask: __mmask16) -> u32 = u32::from(mask);
         int(x: i32) -> __m512i = _mm512_set1_epi32(x);
         truncate(a: __m512) -> __m512i = _mm512_cvttps_epi32(a);
         float(a: __m512i) -> __m512 = _mm512_cvtepi32_ps(a);

@@ -77,6 +77,9 @@ pub trait Simd: Copy + Send + Sync {
     fn mask_bits(self, mask: Self::M) -> u32;
     /// The values at the indices of a slice that is not empty; indices beyond its end, and below 0, read its last value.
     fn gather(self, from: &[f32], at: Self::I) -> Self::F;
+    /// The values at the indices of a slice of at least two, and those behind them; indices beyond the last pair, and
+    /// below 0, read the last pair.
+    fn gather_pairs(self, from: &[f32], at: Self::I) -> (Self::F, Self::F);
     /// Sums of the lanes of each vector.
     fn sums<const N: usize>(self, rows: &[Self::F; N], out: &mut [f32; N]);
 
@@ -229,8 +232,8 @@ pub fn dispatch<W: Work>(isa: Isa, work: W) -> W::Output {
     }
 }
 
-/// Last index of a slice that 32-bit indices reach.
-fn last_index(from: &[f32]) -> i32 {
-    assert!(!from.is_empty(), "there is nothing to gather from");
-    (from.len() - 1).min(i32::MAX as usize) as i32
+/// Last index of a slice at which there are `together` values and that 32 bits reach.
+fn last_index(from: &[f32], together: usize) -> i32 {
+    assert!(from.len() >= together, "{} values are too few to gather {together} at once", from.len());
+    (from.len() - together).min(i32::MAX as usize) as i32
 }

@@ -130,8 +130,14 @@ impl Simd for Portable {
     }
     #[inline(always)]
     fn gather(self, from: &[f32], at: Self::I) -> Self::F {
-        let last = super::last_index(from) as u32;
+        let last = super::last_index(from, 1) as u32;
         map(at, |at| from[(at as u32).min(last) as usize])
+    }
+    #[inline(always)]
+    fn gather_pairs(self, from: &[f32], at: Self::I) -> (Self::F, Self::F) {
+        let last = super::last_index(from, 2) as u32;
+        let pair = |behind: usize| map(at, |at| from[(at as u32).min(last) as usize + behind]);
+        (pair(0), pair(1))
     }
     #[inline(always)]
     fn sums<const M: usize>(self, rows: &[Self::F; M], out: &mut [f32; M]) {

@@ -6,7 +6,7 @@
 
 use super::yarn::{Path, Wave, add, unit};
 use crate::random::Random;
-use crate::reference::bvh::Curve;
+use crate::reference::primitives::Curve;
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 

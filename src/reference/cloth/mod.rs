@@ -15,8 +15,8 @@ mod yarn;
 #[cfg(test)]
 mod tests;
 
-use super::bvh::Curve;
 use super::fibre_shading::FibreLook;
+use super::primitives::Curve;
 use crate::error::{Error, Result};
 use crate::random::{Random, Stream};
 use fibres::{Spin, Spun};

@@ -5,7 +5,7 @@
 
 use super::Checked;
 use super::place::Frame;
-use crate::reference::bvh::TriangleMesh;
+use crate::reference::primitives::TriangleMesh;
 
 /// Rays a side: as many as a usual tile has texels.
 const SIDE: usize = 1024;

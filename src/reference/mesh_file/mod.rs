@@ -18,7 +18,7 @@ mod tests;
 
 pub use place::{Placement, Up};
 
-use super::bvh::TriangleMesh;
+use super::primitives::TriangleMesh;
 use crate::error::{Error, Result};
 use std::fs::File;
 use std::io::{BufReader, Read, Take};

@@ -1,8 +1,8 @@
 //! From the file's coordinates to the tile's.
 
 use super::{Checked, RawMesh, cross, dot, minus};
-use crate::reference::bvh::TriangleMesh;
 use crate::reference::heightfield::MAX_DEPTH;
+use crate::reference::primitives::TriangleMesh;
 use serde::Deserialize;
 
 /// How far the sides of a tile may differ, relatively: what is lost in typing them.

@@ -5,7 +5,7 @@
 
 use super::Checked;
 use super::place::{Frame, bounds};
-use crate::reference::bvh::TriangleMesh;
+use crate::reference::primitives::TriangleMesh;
 use std::collections::{HashMap, HashSet};
 
 /// How far a border may be from its copy, in tile widths: a hundredth of a texel of a 1024-texel tile, and what is left of

@@ -126,9 +126,8 @@ impl<S: Simd> Heights<'_, S> {
     pub fn patch(&self, s: S, row: S::I, column: S::I) -> [S::F; 4] {
         let at = s.int_add(s.int_mul(row, self.columns), column);
         let below = s.int_add(at, self.columns);
-        let one = s.int(1);
-        let (h00, h10) = (s.gather(self.samples, at), s.gather(self.samples, s.int_add(at, one)));
-        let (h01, h11) = (s.gather(self.samples, below), s.gather(self.samples, s.int_add(below, one)));
+        let (h00, h10) = s.gather_pairs(self.samples, at);
+        let (h01, h11) = s.gather_pairs(self.samples, below);
         let (rise_x, rise_y) = (s.sub(h10, h00), s.sub(h01, h00));
         [h00, rise_x, rise_y, s.sub(s.sub(h11, h01), rise_x)]
     }

@@ -130,6 +130,7 @@ impl Rays {
     }
 
     /// Goes on behind the border of the tile; false where the ray ends before.
+    #[inline(always)]
     pub fn next_tile(&mut self, field: &Heightfield, k: usize, steps: &mut Steps) -> bool {
         let sides = [field.width as f64, field.height as f64];
         let onward: [bool; 2] = std::array::from_fn(|c| self.d[c][k] > -TINY);
