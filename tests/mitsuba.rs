@@ -39,7 +39,7 @@ const TILT: f64 = 2.0;
 const ROUGHER: f32 = 1.1;
 
 /// Our samples a pixel.
-const SPP: usize = 64;
+const SPP: usize = 256;
 /// Independent renders of Mitsuba, whose spread says how noisy their mean is, and samples a pixel in each.
 const RENDERS: usize = 4;
 const RENDER_SPP: usize = 25;
