@@ -1,7 +1,9 @@
 //! Every kind of surface obeys the same physics: energy, tiling, parallax, layers and normals.
 
+use neumip::kernels::simd::Isa;
 use neumip::query::{QueryBuffer, unit};
 use neumip::random::{Random, Stream};
+use neumip::reference::packet::Tracer;
 use neumip::reference::primitives::{Curve, TriangleMesh};
 use neumip::reference::{
     FibreLook, Geometry, HeightMap, Heightfield, Layer, Material, Paint, Part, Reference, ReferenceOptions,
@@ -414,4 +416,72 @@ fn materials_that_cannot_be_are_refused() {
     let layer = Layer { height: rough(4, -0.1, 0.1, 1), paint: lambert(WHITE[0]) };
     let stated = Material { height_range: Some([-0.01, 0.01]), ..material(vec![Part::Solid(layer)]) };
     assert!(refused(stated).contains("height_range"));
+}
+
+/// Hits and shadows of packets of 16 rays over one texel, by an instruction set.
+fn packets(map: &HeightMap, isa: Isa) -> Vec<(Option<f64>, bool)> {
+    let tracer = Tracer::with_isa(Heightfield::new(map).unwrap(), isa);
+    let high = f64::from(tracer.field().range()[1]);
+    let mut found = Vec::new();
+    for k in 0..150 {
+        let mut random = Random::new(21, Stream::Probe, k);
+        let limit = if k % 5 == 0 { 0.999_99 } else { 0.99 };
+        let (wi, wo) = (unit(random.disc(limit)).map(f64::from), unit(random.disc(limit)).map(f64::from));
+        let p = [0; 2].map(|_| 4.0 * random.uniform_f64() - 2.0);
+        let origins: Vec<[f64; 3]> = (0..16)
+            .map(|_| {
+                let q = p.map(|c| c + random.uniform_f64() / map.width as f64);
+                [q[0] + wo[0] / wo[2] * high, q[1] + wo[1] / wo[2] * high, high]
+            })
+            .collect();
+        let (mut hits, mut blocked) = (Vec::new(), Vec::new());
+        tracer.intersect_packet(&origins, wo.map(|c| -c), &mut hits);
+        let departures: Vec<_> = hits.iter().map(|hit| hit.as_ref().unwrap().departure()).collect();
+        tracer.occluded_packet(&departures, wi, &mut blocked);
+        for ((hit, blocked), (origin, departure)) in
+            hits.iter().zip(&blocked).zip(origins.iter().zip(&departures))
+        {
+            // One ray alone has the answer that it has among others.
+            let (mut alone, mut dark) = (Vec::new(), Vec::new());
+            tracer.intersect_packet(&[*origin], wo.map(|c| -c), &mut alone);
+            tracer.occluded_packet(&[*departure], wi, &mut dark);
+            assert_eq!((&alone[0], dark[0]), (hit, *blocked));
+            found.push((hit.map(|hit| hit.t), *blocked));
+        }
+        for (origin, departure) in origins.iter().zip(&departures) {
+            let single = tracer.field().intersect(*origin, wo.map(|c| -c), f64::INFINITY);
+            found.push((single.map(|hit| hit.t), tracer.field().occluded(*departure, wi)));
+        }
+    }
+    found
+}
+
+#[test]
+fn packets_agree_with_single_rays_on_every_instruction_set() {
+    // Both solve the same quadratic in f64 from another start; near silhouettes that moves the root.
+    const ROOT: f64 = 1e-7;
+    for (side, depth) in [(7, 0.2), (33, 0.05), (64, 0.6)] {
+        let map = rough(side, -depth, depth, 6);
+        let of =
+            |map: &HeightMap| -> Vec<_> { Isa::all().into_iter().map(|isa| packets(map, isa)).collect() };
+        let all = of(&map);
+        assert!(all.iter().all(|found| *found == all[0]), "instruction sets differ");
+        let differing = |found: &[(Option<f64>, bool)]| {
+            let pairs = found.chunks_exact(32).flat_map(|group| group[..16].iter().zip(&group[16..]));
+            let differ = |(a, b): &(&(Option<f64>, bool), &(Option<f64>, bool))| match (a.0, b.0) {
+                (Some(s), Some(t)) => (s - t).abs() > ROOT || a.1 != b.1,
+                (a, b) => a != b,
+            };
+            pairs.filter(differ).count()
+        };
+        assert!(differing(&all[0]) <= 2, "{side}: {} of 2400", differing(&all[0]));
+        let mut other = map.clone();
+        other.values.iter_mut().for_each(|z| *z *= 0.999);
+        let mixed: Vec<_> = all[0]
+            .chunks_exact(32)
+            .zip(packets(&other, Isa::all()[0]).chunks_exact(32))
+            .flat_map(|(ours, theirs)| [&ours[..16], &theirs[16..]].concat())
+            .collect();
+        assert!(differing(&mixed) > 100, "a thousandth of the height must show");
+    }
 }

@@ -4,6 +4,7 @@ use super::fibre_shading::{self, FibreBsdf, FibrePoint};
 use super::frame::Frame;
 use super::heightfield::{HeightMap, Heightfield};
 use super::material::{Material, Paint, Part};
+use super::packet::Tracer;
 use super::primitives::{Curves, Triangles};
 use super::raycast::Hit;
 use super::shading::Brdf;
@@ -21,7 +22,7 @@ pub struct Geometry {
 
 #[derive(Debug)]
 enum Object {
-    Solid(Heightfield, Paint),
+    Solid(Tracer, Paint),
     Sheet(Heightfield, Texture<1>, Paint),
     Mesh(Triangles, Paint),
     Fibres(Curves, Vec<FibreBsdf>),
@@ -103,7 +104,7 @@ impl Geometry {
     /// The heights where the material is one solid layer.
     pub fn height_map(&self) -> Option<HeightMap> {
         match self.objects.as_slice() {
-            [Object::Solid(field, _)] => Some(field.height_map()),
+            [Object::Solid(tracer, _)] => Some(tracer.field().height_map()),
             _ => None,
         }
     }
@@ -121,21 +122,47 @@ impl Geometry {
         nearest
     }
 
-    /// [`Geometry::intersect`] for many rays of one direction.
+    /// [`Geometry::intersect`] for many rays of one direction; `hits` is scratch.
     pub fn intersect_all<'a>(
         &'a self,
         origins: &[[f64; 3]],
         direction: [f64; 3],
+        hits: &mut Vec<Option<Hit>>,
         points: &mut Vec<Option<Point<'a>>>,
     ) {
         points.clear();
-        points.extend(origins.iter().map(|origin| self.intersect(*origin, direction)));
+        points.resize_with(origins.len(), || None);
+        for object in &self.objects {
+            match object {
+                Object::Solid(tracer, paint) => {
+                    tracer.intersect_packet(origins, direction, hits);
+                    for (point, hit) in points.iter_mut().zip(&*hits) {
+                        let Some(hit) = hit else { continue };
+                        if point.as_ref().is_none_or(|nearest| hit.t <= nearest.t) {
+                            *point = Some(field_point(paint, hit, direction, false));
+                        }
+                    }
+                }
+                _ => {
+                    for (point, origin) in points.iter_mut().zip(origins) {
+                        let t_max = point.as_ref().map_or(f64::INFINITY, |nearest| nearest.t);
+                        if let Some(nearer) = object.intersect(*origin, direction, t_max) {
+                            *point = Some(nearer);
+                        }
+                    }
+                }
+            }
+        }
     }
 
     /// [`Geometry::occluded`] for many rays of one direction.
     pub fn occluded_all(&self, origins: &[[f64; 3]], direction: [f64; 3], blocked: &mut Vec<bool>) {
-        blocked.clear();
-        blocked.extend(origins.iter().map(|origin| self.occluded(*origin, direction)));
+        if let [Object::Solid(tracer, _)] = self.objects.as_slice() {
+            tracer.occluded_packet(origins, direction, blocked);
+        } else {
+            blocked.clear();
+            blocked.extend(origins.iter().map(|origin| self.occluded(*origin, direction)));
+        }
     }
 
     /// True if a ray meets anything on its way out.
@@ -147,7 +174,7 @@ impl Geometry {
 impl Object {
     fn new(part: Part) -> Result<Self> {
         Ok(match part {
-            Part::Solid(layer) => Self::Solid(Heightfield::new(&layer.height)?, layer.paint),
+            Part::Solid(layer) => Self::Solid(Tracer::new(Heightfield::new(&layer.height)?)?, layer.paint),
             Part::Sheet(layer, opacity) => {
                 Self::Sheet(Heightfield::new(&layer.height)?, opacity, layer.paint)
             }
@@ -165,7 +192,8 @@ impl Object {
 
     fn range(&self) -> [f64; 2] {
         match self {
-            Self::Solid(field, _) | Self::Sheet(field, ..) => field.range().map(f64::from),
+            Self::Solid(tracer, _) => tracer.field().range().map(f64::from),
+            Self::Sheet(field, ..) => field.range().map(f64::from),
             Self::Mesh(triangles, _) => triangles.range(),
             Self::Fibres(curves, _) => curves.range(),
         }
@@ -173,8 +201,8 @@ impl Object {
 
     fn intersect(&self, origin: [f64; 3], direction: [f64; 3], t_max: f64) -> Option<Point<'_>> {
         match self {
-            Self::Solid(field, paint) => {
-                let hit = field.intersect(origin, direction, t_max)?;
+            Self::Solid(tracer, paint) => {
+                let hit = tracer.field().intersect(origin, direction, t_max)?;
                 Some(field_point(paint, &hit, direction, false))
             }
             Self::Sheet(field, opacity, paint) => {
@@ -210,7 +238,7 @@ impl Object {
 
     fn occluded(&self, origin: [f64; 3], direction: [f64; 3]) -> bool {
         match self {
-            Self::Solid(field, _) => field.occluded(origin, direction),
+            Self::Solid(tracer, _) => tracer.field().occluded(origin, direction),
             Self::Sheet(field, opacity, _) => {
                 field.intersect_sheet(opacity, origin, direction, f64::INFINITY).is_some()
             }

@@ -1,6 +1,7 @@
 //! Light that a material sends to a viewer.
 
 use super::geometry::{Geometry, Point};
+use super::raycast::Hit;
 use crate::random::Random;
 
 /// Bounces after which a path under the sky is given up. A path that loses nothing needs about ten to leave a deep
@@ -14,6 +15,7 @@ const ROULETTE_AFTER: usize = 4;
 #[derive(Debug, Default)]
 pub struct Paths<'a> {
     origins: Vec<[f64; 3]>,
+    hits: Vec<Option<Hit>>,
     points: Vec<Option<Point<'a>>>,
     /// Light that the points reflect, shadows aside, and which of them that is.
     reflected: Vec<[f32; 3]>,
@@ -46,10 +48,10 @@ impl Geometry {
         paths: &mut Paths<'a>,
         radiance: &mut Vec<[f32; 3]>,
     ) -> u64 {
-        let Paths { origins, points, reflected, lit, departures, blocked } = paths;
+        let Paths { origins, hits, points, reflected, lit, departures, blocked } = paths;
         origins.clear();
         origins.extend(positions.iter().map(|p| self.above(*p, view.wo)));
-        self.intersect_all(origins, view.wo.map(|c| -c), points);
+        self.intersect_all(origins, view.wo.map(|c| -c), hits, points);
 
         (reflected.clear(), lit.clear(), departures.clear());
         for (k, point) in points.iter().enumerate() {

@@ -27,6 +27,7 @@ pub mod map_file;
 pub mod maps;
 pub mod material;
 pub mod mesh_file;
+pub mod packet;
 pub mod primitives;
 pub mod raycast;
 pub mod resample;
