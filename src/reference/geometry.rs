@@ -4,7 +4,7 @@ use super::fibre_shading::{self, FibreBsdf, FibrePoint};
 use super::frame::Frame;
 use super::heightfield::{HeightMap, Heightfield};
 use super::material::{Material, Paint, Part};
-use super::packet::Tracer;
+use super::packet::{Ray, Tracer};
 use super::primitives::{Curves, Triangles};
 use super::raycast::Hit;
 use super::shading::Brdf;
@@ -122,31 +122,30 @@ impl Geometry {
         nearest
     }
 
-    /// [`Geometry::intersect`] for many rays of one direction; `hits` is scratch.
+    /// [`Geometry::intersect`] for many rays, those near each other after each other; `hits` is scratch.
     pub fn intersect_all<'a>(
         &'a self,
-        origins: &[[f64; 3]],
-        direction: [f64; 3],
+        rays: &[Ray],
         hits: &mut Vec<Option<Hit>>,
         points: &mut Vec<Option<Point<'a>>>,
     ) {
         points.clear();
-        points.resize_with(origins.len(), || None);
+        points.resize_with(rays.len(), || None);
         for object in &self.objects {
             match object {
                 Object::Solid(tracer, paint) => {
-                    tracer.intersect_packet(origins, direction, hits);
-                    for (point, hit) in points.iter_mut().zip(&*hits) {
+                    tracer.intersect_many(rays, hits);
+                    for ((point, hit), (_, direction)) in points.iter_mut().zip(&*hits).zip(rays) {
                         let Some(hit) = hit else { continue };
                         if point.as_ref().is_none_or(|nearest| hit.t <= nearest.t) {
-                            *point = Some(field_point(paint, hit, direction, false));
+                            *point = Some(field_point(paint, hit, *direction, false));
                         }
                     }
                 }
                 _ => {
-                    for (point, origin) in points.iter_mut().zip(origins) {
+                    for (point, (origin, direction)) in points.iter_mut().zip(rays) {
                         let t_max = point.as_ref().map_or(f64::INFINITY, |nearest| nearest.t);
-                        if let Some(nearer) = object.intersect(*origin, direction, t_max) {
+                        if let Some(nearer) = object.intersect(*origin, *direction, t_max) {
                             *point = Some(nearer);
                         }
                     }

@@ -1,6 +1,7 @@
 //! Light that a material sends to a viewer.
 
 use super::geometry::{Geometry, Point};
+use super::packet::Ray;
 use super::raycast::Hit;
 use crate::random::Random;
 
@@ -11,15 +12,18 @@ const MAX_SKY_BOUNCES: usize = 1000;
 /// Bounces after which a path under the sky may be ended by chance.
 const ROULETTE_AFTER: usize = 4;
 
-/// Light at the start of many paths. Kept by a thread, it saves allocations.
+/// Paths that are followed together. Kept by a thread, it saves allocations.
 #[derive(Debug, Default)]
 pub struct Paths<'a> {
-    origins: Vec<[f64; 3]>,
+    /// The paths that go on, and where.
+    owners: Vec<usize>,
+    rays: Vec<Ray>,
     hits: Vec<Option<Hit>>,
     points: Vec<Option<Point<'a>>>,
-    /// Light that the points reflect, shadows aside, and which of them that is.
-    reflected: Vec<[f32; 3]>,
-    lit: Vec<usize>,
+    /// What each path's light is worth at its first point.
+    throughput: Vec<[f32; 3]>,
+    /// Paths with what they would gain from the light, and whether something is in between.
+    lit: Vec<(usize, [f32; 3])>,
     departures: Vec<[f64; 3]>,
     blocked: Vec<bool>,
 }
@@ -48,32 +52,60 @@ impl Geometry {
         paths: &mut Paths<'a>,
         radiance: &mut Vec<[f32; 3]>,
     ) -> u64 {
-        let Paths { origins, hits, points, reflected, lit, departures, blocked } = paths;
-        origins.clear();
-        origins.extend(positions.iter().map(|p| self.above(*p, view.wo)));
-        self.intersect_all(origins, view.wo.map(|c| -c), hits, points);
-
-        (reflected.clear(), lit.clear(), departures.clear());
-        for (k, point) in points.iter().enumerate() {
-            let light = point.as_ref().map_or([0.0; 3], |point| unshadowed(point, view.wi));
-            reflected.push(light);
-            if let Some(point) = point.as_ref().filter(|_| light != [0.0; 3]) {
-                lit.push(k);
-                departures.push(point.departure);
-            }
-        }
-        self.occluded_all(departures, view.wi, blocked);
-        for (k, _) in lit.iter().zip(blocked).filter(|(_, blocked)| **blocked) {
-            reflected[*k] = [0.0; 3];
-        }
-
-        let mut rays = (origins.len() + departures.len()) as u64;
+        let Paths { owners, rays, hits, points, throughput, lit, departures, blocked } = paths;
+        owners.clear();
+        owners.extend(0..positions.len());
+        rays.clear();
+        rays.extend(positions.iter().map(|p| (self.above(*p, view.wo), view.wo.map(|c| -c))));
+        throughput.clear();
+        throughput.resize(positions.len(), [1.0; 3]);
         radiance.clear();
-        for (point, direct) in points.drain(..).zip(reflected) {
-            let indirect = point.map_or([0.0; 3], |point| self.indirect(point, view, random, &mut rays));
-            radiance.push(std::array::from_fn(|c| direct[c] + indirect[c]));
+        radiance.resize(positions.len(), [0.0; 3]);
+        let mut count = 0;
+        for bounce in 0..=view.bounces {
+            self.intersect_all(rays, hits, points);
+            count += rays.len() as u64;
+
+            lit.clear();
+            departures.clear();
+            for (&owner, point) in owners.iter().zip(&*points) {
+                let Some(point) = point else { continue };
+                let light = unshadowed(point, view.wi);
+                if light != [0.0; 3] {
+                    lit.push((owner, std::array::from_fn(|c| throughput[owner][c] * light[c])));
+                    departures.push(point.departure);
+                }
+            }
+            self.occluded_all(departures, view.wi, blocked);
+            count += departures.len() as u64;
+            for ((owner, light), blocked) in lit.iter().zip(&*blocked) {
+                if !blocked {
+                    let sum = &mut radiance[*owner];
+                    *sum = std::array::from_fn(|c| sum[c] + light[c]);
+                }
+            }
+            if bounce == view.bounces {
+                break;
+            }
+
+            rays.clear();
+            let mut going_on = 0;
+            for k in 0..points.len() {
+                let Some((point, (direction, weight))) =
+                    points[k].as_ref().and_then(|point| Some((point, point.sample(random)?)))
+                else {
+                    continue;
+                };
+                let owner = owners[k];
+                throughput[owner] = std::array::from_fn(|c| throughput[owner][c] * weight[c]);
+                rays.push((point.departure, direction));
+                owners[going_on] = owner;
+                going_on += 1;
+            }
+            owners.truncate(going_on);
         }
-        rays
+        points.clear();
+        count
     }
 
     /// [`Geometry::radiances`] along one ray.
@@ -81,32 +113,6 @@ impl Geometry {
         let mut radiance = Vec::with_capacity(1);
         self.radiances(&[position], view, random, &mut Paths::default(), &mut radiance);
         radiance.first().copied().unwrap_or_default()
-    }
-
-    /// Light that a point sends to its viewer after 1 to `bounces` bounces.
-    fn indirect<'a>(
-        &'a self,
-        mut point: Point<'a>,
-        view: &View,
-        random: &mut Random,
-        rays: &mut u64,
-    ) -> [f32; 3] {
-        let (mut sum, mut throughput) = ([0.0; 3], [1.0_f32; 3]);
-        for _ in 0..view.bounces {
-            let Some((direction, weight)) = point.sample(random) else { break };
-            *rays += 1;
-            let Some(next) = self.intersect(point.departure, direction) else { break };
-            throughput = std::array::from_fn(|c| throughput[c] * weight[c]);
-            point = next;
-            let light = unshadowed(&point, view.wi);
-            if light != [0.0; 3] {
-                *rays += 1;
-                if !self.occluded(point.departure, view.wi) {
-                    sum = std::array::from_fn(|c| sum[c] + throughput[c] * light[c]);
-                }
-            }
-        }
-        sum
     }
 
     /// Radiance towards `wo` under a white sky of radiance 1, all bounces: 1 for a surface that absorbs nothing.

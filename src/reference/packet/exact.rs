@@ -61,7 +61,8 @@ impl Meetings {
     /// What ray k has met.
     #[inline(always)]
     pub fn hit(&self, k: usize) -> Hit {
-        Hit { t: self.t[k], position: self.position.map(|row| row[k]), normal: self.normal.map(|row| row[k]) }
+        let at = |rows: &[Row; 3]| [rows[0][k], rows[1][k], rows[2][k]];
+        Hit { t: self.t[k], position: at(&self.position), normal: at(&self.normal) }
     }
 }
 
@@ -77,14 +78,14 @@ fn most(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
 
-/// A bit for every ray that is true.
+/// All bits of a group together.
 #[inline(always)]
-fn bits(each: &[bool; GROUP]) -> u32 {
-    let mut bits = 0;
+fn together(bits: &[u32; GROUP]) -> u32 {
+    let mut all = 0;
     for k in 0..GROUP {
-        bits |= u32::from(each[k]) << k;
+        all |= bits[k];
     }
-    bits
+    all
 }
 
 impl Rays {
@@ -102,7 +103,7 @@ impl Rays {
     pub fn start(&mut self, field: &Heightfield, largest: usize, steps: &mut Steps) -> Started {
         let (w, h) = (field.width as f64, field.height as f64);
         let (floor, ceiling) = (field.low - SLAB_MARGIN, field.high + SLAB_MARGIN);
-        let (mut live, mut inside) = ([false; GROUP], [false; GROUP]);
+        let (mut live, mut inside) = ([0; GROUP], [0; GROUP]);
         let mut at = [[0.0; GROUP]; 2];
         for k in 0..GROUP {
             let [px, py, pz] = [self.origin[0][k], self.origin[1][k], self.origin[2][k]];
@@ -114,8 +115,9 @@ impl Rays {
             let start = if above { (ceiling - pz) * inverse_z } else { 0.0 };
             let leave = (if dz > 0.0 { ceiling } else { floor } - pz) * inverse_z;
             let leave = if dz == 0.0 { f64::INFINITY } else { leave };
-            live[k] = sane & !(above & (dz >= 0.0));
-            inside[k] = pz < field.high - SLAB_MARGIN;
+            live[k] = u32::from(sane & !(above & (dz >= 0.0))) << k;
+            let within = pz < field.high - SLAB_MARGIN;
+            inside[k] = u32::from(within) << k;
             let (x, y) = (ox + dx * start, oy + dy * start);
             let (tile_x, tile_y) = ((x / w).floor() * w, (y / h).floor() * h);
             (self.o[0][k], self.o[1][k], self.o[2][k]) = (ox, oy, pz);
@@ -127,7 +129,7 @@ impl Rays {
             (self.start[k], self.end[k]) = (start, least(most(leave, start), start + MAX_DISTANCE));
             (at[0][k], at[1][k]) = (x - tile_x, y - tile_y);
             steps.inverse_fall.0[k] = if dz < 0.0 { inverse_z as f32 } else { 0.0 };
-            let side = if inside[k] { 1.0 } else { START_ABOVE };
+            let side = if within { 1.0 } else { START_ABOVE };
             steps.side.0[k] = least(side, largest as f64) as f32;
         }
         for k in 0..GROUP {
@@ -149,7 +151,7 @@ impl Rays {
         }
         steps.t = Each::default();
         steps.pass = Each::default();
-        Started { live: bits(&live), inside: bits(&inside) }
+        Started { live: together(&live), inside: together(&inside) }
     }
 
     /// Takes ray k over the border of the copy of the tile; false where it ends before.
@@ -168,7 +170,8 @@ impl Rays {
         }
         let axis = usize::from(ty < tx);
         self.tile[axis][k] += if onward[axis] { sides[axis] } else { -sides[axis] };
-        let mut at = [0, 1].map(|c| self.o[c][k] + self.d[c][k] * t - self.tile[c][k]);
+        let place = |c: usize| self.o[c][k] + self.d[c][k] * t - self.tile[c][k];
+        let mut at = [place(0), place(1)];
         at[axis] = if onward[axis] { 0.0 } else { sides[axis] };
         (steps.x.0[k], steps.y.0[k]) = (at[0] as f32, at[1] as f32);
         steps.z.0[k] = (self.o[2][k] + self.d[2][k] * t) as f32;

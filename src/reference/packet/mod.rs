@@ -135,7 +135,10 @@ impl<R: Fn(usize) -> Ray, A: FnMut(usize, Found<'_>), const HITS: bool> Work for
                 if held != 0 {
                     rays.meet::<HITS>(field, heights, &steps, held, &mut meetings);
                 }
-                for k in (0..n).filter(|k| held >> k & 1 == 1) {
+                for k in 0..n {
+                    if held >> k & 1 == 0 {
+                        continue;
+                    }
                     if meetings.met[k] {
                         let late = HITS && meetings.late[k];
                         (self.answer)(first + k, if late { Found::Doubt } else { Found::Lane(&meetings, k) });
@@ -156,7 +159,10 @@ impl<R: Fn(usize) -> Ray, A: FnMut(usize, Found<'_>), const HITS: bool> Work for
                     struck |= stopped.struck;
                 }
                 let resting = live & !held;
-                for k in (0..n).filter(|k| resting >> k & 1 == 1) {
+                for k in 0..n {
+                    if resting >> k & 1 == 0 {
+                        continue;
+                    }
                     let found = if struck >> k & 1 == 1 {
                         Found::Struck
                     } else if rays.next_tile(field, k, &mut steps) {

@@ -18,8 +18,7 @@ pub(super) const MARGIN: f64 = 1e-6;
 const MAX_SIDE: usize = 2048;
 
 /// Entries of all columns' lists per primitive that the side is chosen by: fewer, larger columns test more in vain,
-/// more, smaller ones cost more steps and memory. The best of 4, 8, 16 and 32 for fibres and meshes together; each is
-/// within 10 % of its own best.
+/// more, smaller ones cost more steps and memory. The best of 4, 8, 16 and 32 for fibres and meshes together.
 const ENTRIES_PER_PRIMITIVE: usize = 8;
 
 /// Most entries of all lists: 3 GiB.
