@@ -357,6 +357,12 @@ fn problem(line: &str) -> Option<String> {
     if let Some(flag) = flags.clone().find(|flag| !known.contains(flag)) {
         return Some(format!("{line}: {verb} has no {flag}"));
     }
+    // A crate of its own has a command line of its own.
+    if let Some(at) = own.iter().position(|word| *word == "--manifest-path") {
+        let manifest = own.get(at + 1).map(|path| root().join(path));
+        let missing = manifest.is_none_or(|path| !path.is_file());
+        return missing.then(|| format!("{line}: its manifest is not there"));
+    }
     // What `cargo run` hands on is a command line of ours.
     let handed = &words[own.len()..];
     match (ours, verb, handed.split_first()) {
@@ -389,5 +395,8 @@ fn commands_that_do_not_exist_are_found() {
     assert!(problem(&lines[1]).unwrap().contains("there is no verb paint"));
     assert!(problem("cargo tset --release").unwrap().contains("there is no verb tset"));
     assert!(problem("cargo test --relase").unwrap().contains("has no --relase"));
+    assert!(
+        problem("cargo run --manifest-path no/Cargo.toml").unwrap().contains("its manifest is not there")
+    );
     assert_eq!(problem("target/release/neumip train data --out run --set a=b"), None);
 }

@@ -47,7 +47,7 @@ fn unit64(w: [f32; 2]) -> [f64; 3] {
 }
 
 /// A uniform direction of the upper hemisphere.
-fn hemisphere(random: &mut Random) -> [f64; 3] {
+pub fn hemisphere(random: &mut Random) -> [f64; 3] {
     let z = random.uniform_f64().max(1e-3);
     let (sin, cos) = (std::f64::consts::TAU * random.uniform_f64()).sin_cos();
     let radius = (1.0 - z * z).sqrt();
@@ -55,7 +55,7 @@ fn hemisphere(random: &mut Random) -> [f64; 3] {
 }
 
 /// Mean of what `draw` returns, and the standard error of that mean.
-fn estimate(count: u64, mut draw: impl FnMut(&mut Random) -> f32) -> (f64, f64) {
+pub fn estimate(count: u64, mut draw: impl FnMut(&mut Random) -> f32) -> (f64, f64) {
     let (mut sum, mut squares) = (0.0, 0.0);
     for k in 0..count {
         let value = f64::from(draw(&mut Random::new(11, Stream::Probe, k)));

@@ -1,5 +1,6 @@
 //! Every kind of surface obeys the same physics: energy, tiling, parallax, layers and normals.
 
+use crate::reference::{estimate, hemisphere};
 use neumip::kernels::simd::Isa;
 use neumip::query::{QueryBuffer, unit};
 use neumip::random::{Random, Stream};
@@ -101,25 +102,6 @@ fn geometry(parts: Vec<Part>) -> Geometry {
 fn reference(parts: Vec<Part>, side: usize) -> Reference {
     let options = ReferenceOptions { resolution: Some([side; 2]), ..ReferenceOptions::default() };
     Reference::new(material(parts), &options).unwrap()
-}
-
-fn hemisphere(random: &mut Random) -> [f64; 3] {
-    let z = random.uniform_f64().max(1e-3);
-    let (sin, cos) = (TAU * random.uniform_f64()).sin_cos();
-    let radius = (1.0 - z * z).sqrt();
-    [radius * cos, radius * sin, z]
-}
-
-/// Mean and standard error of what `draw` returns.
-fn estimate(count: u64, mut draw: impl FnMut(&mut Random) -> f32) -> (f64, f64) {
-    let (mut sum, mut squares) = (0.0, 0.0);
-    for k in 0..count {
-        let value = f64::from(draw(&mut Random::new(11, Stream::Probe, k)));
-        sum += value;
-        squares += value * value;
-    }
-    let mean = sum / count as f64;
-    (mean, ((squares / count as f64 - mean * mean).max(0.0) / count as f64).sqrt())
 }
 
 /// Products of up to some hundred f32 weights, each rounded; a fibre's weights are off by up to 1e-4 of 1 each.

@@ -42,6 +42,22 @@ impl Work for Apply<'_> {
             let sum = s.int_add(s.int_mul(s.truncate(a), s.int(3)), s.truncate(b));
             s.float(s.int_xor(s.int_and(sum, s.int(0xff)), s.int_up::<2>(s.int(1))))
         });
+        each!("int less, larger, smaller", |a, b| {
+            let (a, b) = (s.truncate(a), s.truncate(b));
+            s.float(s.int_sub(s.int_up::<4>(s.int_max(a, b)), s.int_min(a, b)))
+        });
+        each!("int select", |a, b| s.float(s.int_select(s.greater(a, b), s.truncate(a), s.int(7))));
+        each!("both", |a, b| s.select(s.both(s.greater(a, b), s.greater(b, s.splat(0.0))), a, b));
+        each!("either", |a, b| s.select(s.either(s.greater(a, b), s.greater(b, s.splat(0.0))), a, b));
+        each!("gather", |a, b| {
+            let at = s.int_and(s.truncate(s.mul(b, b)), s.int(15));
+            s.add(s.gather(self.0, at), s.mul(s.splat(0.0), a))
+        });
+        each!("gather pairs", |a, b| {
+            let at = s.int_and(s.truncate(s.mul(b, b)), s.int(15));
+            let (near, far) = s.gather_pairs(self.0, at);
+            s.add(s.sub(near, s.add(far, far)), s.mul(s.splat(0.0), a))
+        });
         each!("bits", |a, _b| s.as_float(s.int_up::<1>(s.int_down::<1>(s.bits(a)))));
         let mut rows = [s.splat(0.0); 5];
         for (i, row) in rows.iter_mut().enumerate() {
@@ -78,6 +94,21 @@ fn expected(a: &[f32; LANES], b: &[f32; LANES]) -> Results {
         ("select", zip(|a, b| if a > b { a } else { 7.0 })),
         ("float", zip(|a, _| a.trunc())),
         ("int", zip(|a, b| (((a as i32 * 3 + b as i32) & 0xff) ^ 4) as f32)),
+        (
+            "int less, larger, smaller",
+            zip(|a, b| ((a as i32).max(b as i32) * 16 - (a as i32).min(b as i32)) as f32),
+        ),
+        ("int select", zip(|a, b| if a > b { a.trunc() } else { 7.0 })),
+        ("both", zip(|a, b| if a > b && b > 0.0 { a } else { b })),
+        ("either", zip(|a, b| if a > b || b > 0.0 { a } else { b })),
+        ("gather", b.map(|b| a[(b * b) as usize & 15])),
+        (
+            "gather pairs",
+            b.map(|b| {
+                let at = ((b * b) as usize & 15).min(LANES - 2);
+                a[at] - 2.0 * a[at + 1]
+            }),
+        ),
         ("bits", zip(|a, _| f32::from_bits(a.to_bits() & !1))),
         ("sums less the lanes", [0.0; LANES]),
     ]
@@ -167,6 +198,60 @@ impl Work for Poison {
 fn what_is_no_number_takes_the_second_branch() {
     for isa in Isa::all() {
         assert_eq!(dispatch(isa, Poison), [true; 4], "{}", isa.name());
+    }
+}
+
+struct Outside;
+
+impl Work for Outside {
+    type Output = [bool; 4];
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) -> [bool; 4] {
+        let lane = |v: S::F| {
+            let mut out = [0.0; LANES];
+            s.store(&mut out, v);
+            out[S::LANES - 1]
+        };
+        let few = [3.0, 4.0, 5.0];
+        let (near, far) = s.gather_pairs(&few, s.int(-1));
+        [
+            lane(s.gather(&few, s.int(i32::MAX))) == 5.0,
+            lane(s.gather(&few, s.int(-7))) == 5.0,
+            [lane(near), lane(far)] == [4.0, 5.0],
+            s.mask_bits(s.greater(s.splat(1.0), s.splat(0.0))) == ((1_u64 << S::LANES) - 1) as u32,
+        ]
+    }
+}
+
+#[test]
+fn indices_beyond_a_slice_read_its_end() {
+    for isa in Isa::all() {
+        assert_eq!(dispatch(isa, Outside), [true; 4], "{}", isa.name());
+    }
+}
+
+/// Bits of a mask that is true for the lanes below the limit.
+struct Bits(f32);
+
+impl Work for Bits {
+    type Output = [u32; 2];
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) -> [u32; 2] {
+        let numbers: [f32; LANES] = std::array::from_fn(|i| i as f32);
+        let below = s.greater(s.splat(self.0), s.load(&numbers));
+        [s.mask_bits(below), (1 << (self.0 as usize).min(S::LANES)) - 1]
+    }
+}
+
+#[test]
+fn bits_of_a_mask_are_its_lanes() {
+    for isa in Isa::all() {
+        for limit in 0..LANES {
+            let [got, want] = dispatch(isa, Bits(limit as f32));
+            assert_eq!(got, want, "{} {limit}", isa.name());
+        }
     }
 }
 

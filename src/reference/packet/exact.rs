@@ -78,14 +78,14 @@ fn most(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
 
-/// All bits of a group together.
+/// A bit for every ray that is true.
 #[inline(always)]
-fn together(bits: &[u32; GROUP]) -> u32 {
-    let mut all = 0;
+fn bits(each: &[bool; GROUP]) -> u32 {
+    let mut bits = 0;
     for k in 0..GROUP {
-        all |= bits[k];
+        bits |= u32::from(each[k]) << k;
     }
-    all
+    bits
 }
 
 impl Rays {
@@ -103,7 +103,7 @@ impl Rays {
     pub fn start(&mut self, field: &Heightfield, largest: usize, steps: &mut Steps) -> Started {
         let (w, h) = (field.width as f64, field.height as f64);
         let (floor, ceiling) = (field.low - SLAB_MARGIN, field.high + SLAB_MARGIN);
-        let (mut live, mut inside) = ([0; GROUP], [0; GROUP]);
+        let (mut live, mut inside) = ([false; GROUP], [false; GROUP]);
         let mut at = [[0.0; GROUP]; 2];
         for k in 0..GROUP {
             let [px, py, pz] = [self.origin[0][k], self.origin[1][k], self.origin[2][k]];
@@ -115,9 +115,8 @@ impl Rays {
             let start = if above { (ceiling - pz) * inverse_z } else { 0.0 };
             let leave = (if dz > 0.0 { ceiling } else { floor } - pz) * inverse_z;
             let leave = if dz == 0.0 { f64::INFINITY } else { leave };
-            live[k] = u32::from(sane & !(above & (dz >= 0.0))) << k;
-            let within = pz < field.high - SLAB_MARGIN;
-            inside[k] = u32::from(within) << k;
+            live[k] = sane & !(above & (dz >= 0.0));
+            inside[k] = pz < field.high - SLAB_MARGIN;
             let (x, y) = (ox + dx * start, oy + dy * start);
             let (tile_x, tile_y) = ((x / w).floor() * w, (y / h).floor() * h);
             (self.o[0][k], self.o[1][k], self.o[2][k]) = (ox, oy, pz);
@@ -129,7 +128,7 @@ impl Rays {
             (self.start[k], self.end[k]) = (start, least(most(leave, start), start + MAX_DISTANCE));
             (at[0][k], at[1][k]) = (x - tile_x, y - tile_y);
             steps.inverse_fall.0[k] = if dz < 0.0 { inverse_z as f32 } else { 0.0 };
-            let side = if within { 1.0 } else { START_ABOVE };
+            let side = if inside[k] { 1.0 } else { START_ABOVE };
             steps.side.0[k] = least(side, largest as f64) as f32;
         }
         for k in 0..GROUP {
@@ -141,17 +140,15 @@ impl Rays {
             steps.right.0[k] = if right { 1.0 } else { 0.0 };
             steps.down.0[k] = if down { 1.0 } else { 0.0 };
             let (start, x, y) = (self.start[k], at[0][k], at[1][k]);
-            let tx = (self.tile[0][k] + if right { w } else { 0.0 } - self.o[0][k]) * self.inverse[0][k];
-            let ty = (self.tile[1][k] + if down { h } else { 0.0 } - self.o[1][k]) * self.inverse[1][k];
-            steps.end.0[k] = (least(least(tx, ty), self.end[k]) - start) as f32;
             (steps.x.0[k], steps.y.0[k]) = (x as f32, y as f32);
             steps.z.0[k] = (self.o[2][k] + dz * start) as f32;
+            steps.end_at_border(k, [w as f32, h as f32], (self.end[k] - start) as f32);
             steps.column.0[k] = least(most(x.floor(), 0.0), w - 1.0) as f32;
             steps.row.0[k] = least(most(y.floor(), 0.0), h - 1.0) as f32;
         }
         steps.t = Each::default();
         steps.pass = Each::default();
-        Started { live: together(&live), inside: together(&inside) }
+        Started { live: bits(&live), inside: bits(&inside) }
     }
 
     /// Takes ray k over the border of the copy of the tile; false where it ends before.
@@ -159,10 +156,10 @@ impl Rays {
     pub fn next_tile(&mut self, field: &Heightfield, k: usize, steps: &mut Steps) -> bool {
         let sides = [field.width as f64, field.height as f64];
         let onward = [self.d[0][k] > -TINY, self.d[1][k] > -TINY];
-        let border = |rays: &Self, c: usize| {
-            (rays.tile[c][k] + if onward[c] { sides[c] } else { 0.0 } - rays.o[c][k]) * rays.inverse[c][k]
+        let border = |c: usize| {
+            (self.tile[c][k] + if onward[c] { sides[c] } else { 0.0 } - self.o[c][k]) * self.inverse[c][k]
         };
-        let (tx, ty) = (border(self, 0), border(self, 1));
+        let (tx, ty) = (border(0), border(1));
         let t = least(tx, ty);
         // No number ends, too.
         if !(t < self.end[k]) {
@@ -175,7 +172,7 @@ impl Rays {
         at[axis] = if onward[axis] { 0.0 } else { sides[axis] };
         (steps.x.0[k], steps.y.0[k]) = (at[0] as f32, at[1] as f32);
         steps.z.0[k] = (self.o[2][k] + self.d[2][k] * t) as f32;
-        steps.end.0[k] = (least(least(border(self, 0), border(self, 1)), self.end[k]) - t) as f32;
+        steps.end_at_border(k, sides.map(|side| side as f32), (self.end[k] - t) as f32);
         steps.column.0[k] = least(most(at[0].floor(), 0.0), sides[0] - 1.0) as f32;
         steps.row.0[k] = least(most(at[1].floor(), 0.0), sides[1] - 1.0) as f32;
         (steps.t.0[k], steps.side.0[k], steps.pass.0[k]) = (0.0, 1.0, 0.0);

@@ -47,6 +47,18 @@ pub(super) struct Steps {
     pub pass: Each,
 }
 
+impl Steps {
+    /// Ends ray k after `end`, or before at a border of the tile: there where the walk comes to it, to the last bit, for
+    /// beyond it there are no patches.
+    #[inline(always)]
+    pub fn end_at_border(&mut self, k: usize, [width, height]: [f32; 2], end: f32) {
+        let tx = (self.right.0[k] * width - self.x.0[k]) * self.inverse_x.0[k];
+        let ty = (self.down.0[k] * height - self.y.0[k]) * self.inverse_y.0[k];
+        let border = if tx < ty { tx } else { ty };
+        self.end.0[k] = if border < end { border } else { end };
+    }
+}
+
 /// Why rays have stopped, a bit each.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Stopped {
