@@ -161,8 +161,7 @@ impl Rays {
         };
         let (tx, ty) = (border(0), border(1));
         let t = least(tx, ty);
-        // No number ends, too.
-        if !(t < self.end[k]) {
+        if t >= self.end[k] || t.is_nan() {
             return false;
         }
         let axis = usize::from(ty < tx);

@@ -1,12 +1,15 @@
 //! Many rays on a heightfield at once.
 //!
-//! Rays walk over the pyramid of maxima in single precision, a ray a lane ([`walk`]), on heights that leave room for its
-//! rounding ([`heights`]). Where a ray may meet a patch, double precision decides ([`exact`]), as it does for the patch
+//! Rays walk over the pyramid of maxima in single precision, a ray a lane (`walk`), on heights that leave room for its
+//! rounding (`heights`). Where a ray may meet a patch, double precision decides (`exact`), as it does for the patch
 //! over which a ray starts: no ray meets the surface that it has just left.
 //!
 //! A lane knows nothing of its neighbours, and no instruction set rounds otherwise than another, so answers depend on
 //! neither. They are those of [`Heightfield::intersect`] but for what a ray touches at a corner of a patch, which it
 //! crosses within the rounding of single precision.
+//!
+//! Lanes are indexed by number on purpose: the compiler makes vectors of such loops.
+#![allow(clippy::needless_range_loop)]
 
 mod exact;
 mod heights;
