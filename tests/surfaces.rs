@@ -231,7 +231,7 @@ fn parallax_error(surface: &dyn Fn(f64, f64) -> f64, side: usize, scale: f64) ->
         let p = [random.uniform_f64(), random.uniform_f64()];
         let w = random.disc(0.8);
         let down = unit(w).map(|c| -f64::from(c));
-        let origin = [0, 1].map(|c| p[c] - down[c] / down[2] * 0.2 * -1.0);
+        let origin = [0, 1].map(|c| p[c] + down[c] / down[2] * 0.2);
         let origin = [origin[0], origin[1], 0.2];
         let point = |t: f64| [0, 1, 2].map(|c| origin[c] + down[c] * t);
         let above = |t: f64| {
@@ -400,8 +400,11 @@ fn materials_that_cannot_be_are_refused() {
     assert!(refused(stated).contains("height_range"));
 }
 
+/// Where a view ray hits, and whether that point is in shadow.
+type Answer = (Option<f64>, bool);
+
 /// Hits and shadows of packets of 16 rays over one texel, by an instruction set.
-fn packets(map: &HeightMap, isa: Isa) -> Vec<(Option<f64>, bool)> {
+fn packets(map: &HeightMap, isa: Isa) -> Vec<Answer> {
     let tracer = Tracer::with_isa(Heightfield::new(map).unwrap(), isa);
     let high = f64::from(tracer.field().range()[1]);
     let mut found = Vec::new();
@@ -448,9 +451,9 @@ fn packets_agree_with_single_rays_on_every_instruction_set() {
             |map: &HeightMap| -> Vec<_> { Isa::all().into_iter().map(|isa| packets(map, isa)).collect() };
         let all = of(&map);
         assert!(all.iter().all(|found| *found == all[0]), "instruction sets differ");
-        let differing = |found: &[(Option<f64>, bool)]| {
+        let differing = |found: &[Answer]| {
             let pairs = found.chunks_exact(32).flat_map(|group| group[..16].iter().zip(&group[16..]));
-            let differ = |(a, b): &(&(Option<f64>, bool), &(Option<f64>, bool))| match (a.0, b.0) {
+            let differ = |(a, b): &(&Answer, &Answer)| match (a.0, b.0) {
                 (Some(s), Some(t)) => (s - t).abs() > ROOT || a.1 != b.1,
                 (a, b) => a != b,
             };

@@ -157,7 +157,7 @@ mod tests {
         }
         // Strata of one sample each, with neighbours taken for twins.
         let single = |_: &Strata, k: usize, jitter: [f64; 2]| {
-            let (row, column) = (k / 4, if k / 4 % 2 == 0 { k % 4 } else { 3 - k % 4 });
+            let (row, column) = (k / 4, if (k / 4).is_multiple_of(2) { k % 4 } else { 3 - k % 4 });
             [(column as f64 + jitter[0]) / 4.0, (row as f64 + jitter[1]) / 4.0]
         };
         assert!(edge_ratio(16, single) > 1.3);

@@ -102,7 +102,7 @@ pub fn data_uri(png: &[u8]) -> String {
 /// Linear images side by side, 2^`stops` times brighter, as a PNG file: [`strip_of`] their pictures.
 ///
 /// # Errors
-/// As [`srgb`] and [`strip_of`].
+/// As [`srgb()`] and [`strip_of`].
 pub fn strip(images: &[&RgbImage], stops: f32) -> Result<Vec<u8>> {
     let pictures = images.iter().map(|image| srgb(image, stops)).collect::<Result<Vec<_>>>()?;
     strip_of(&pictures)

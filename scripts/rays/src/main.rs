@@ -1,11 +1,12 @@
-//! Rays a second on one heightfield, one thread, in interleaved rounds: neumip's walk, parry's heightfield and, given a
-//! Python that has it, Mitsuba 3 in its variant scalar_rgb.
+//! Rays a second on one heightfield, one thread, in interleaved rounds: neumip's rays in packets and one at a time, parry's
+//! heightfield and, given a Python that has it, Mitsuba 3 in its variant scalar_rgb.
 //!
 //! Bare rays: 16 view rays over a texel share a direction, and so do the 16 shadow rays from their hits. Answers: the same
 //! with Lambert shading, a picture under one light. All rays stay inside one tile, since parry's field does not repeat.
 
 use neumip::query::{QueryBuffer, unit};
 use neumip::random::{Random, Stream};
+use neumip::reference::packet::Tracer;
 use neumip::reference::{
     HeightMap, Heightfield, Layer, Material, Paint, Part, Reference, ReferenceOptions, Sampling, builtin,
 };
@@ -53,14 +54,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let reference = lambert(&map)?;
     let mut mitsuba = python.map(|python| Mitsuba::start(&python, &map)).transpose()?;
 
-    let mut seconds: [Vec<f64>; 4] = Default::default();
-    let mut rays = [0; 4];
+    let tracer = Tracer::new(field.clone())?;
+    let mut seconds: [Vec<f64>; 5] = Default::default();
+    let mut rays = [0; 5];
     for round in 0..=ROUNDS {
-        let runs: [&mut dyn FnMut() -> (u64, f64); 4] = [
+        let runs: [&mut dyn FnMut() -> (u64, f64); 5] = [
+            &mut || timed(|| packets(&tracer, &groups)),
             &mut || timed(|| bare(&field, &groups)),
             &mut || timed(|| parry_rays(&theirs, &groups)),
             &mut || timed(|| picture(&reference)),
-            &mut || mitsuba.as_mut().map_or((0, 0.0), |m| (2 * (PICTURE * PICTURE * RAYS) as u64, m.render())),
+            &mut || {
+                mitsuba.as_mut().map_or((0, 0.0), |m| (2 * (PICTURE * PICTURE * RAYS) as u64, m.render()))
+            },
         ];
         for (k, run) in runs.into_iter().enumerate() {
             let (count, time) = run();
@@ -73,7 +78,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     println!("| {name}, {SIDE} x {SIDE}, one thread | M rays/s, median of {ROUNDS} | slowest, fastest |");
     println!("| --- | ---: | --- |");
-    let names = ["neumip, bare rays", "parry, bare rays", "neumip, answers", "Mitsuba scalar_rgb, picture"];
+    let names = [
+        "neumip, packets of 16",
+        "neumip, one ray at a time",
+        "parry",
+        "neumip, shaded picture",
+        "Mitsuba scalar_rgb, shaded picture",
+    ];
     for (k, name) in names.into_iter().enumerate().filter(|(k, _)| rays[*k] > 0) {
         seconds[k].sort_by(f64::total_cmp);
         let rate = |time: f64| rays[k] as f64 / time / 1e6;
@@ -121,6 +132,20 @@ fn bare(field: &Heightfield, groups: &[Group]) -> u64 {
     rays
 }
 
+fn packets(tracer: &Tracer, groups: &[Group]) -> u64 {
+    let (mut hits, mut departures, mut blocked) = (Vec::new(), Vec::new(), Vec::new());
+    let mut rays = 0;
+    for group in groups {
+        tracer.intersect_packet(&group.origins, group.down, &mut hits);
+        departures.clear();
+        departures.extend(hits.iter().flatten().map(|hit| hit.departure()));
+        tracer.occluded_packet(&departures, group.to_light, &mut blocked);
+        rays += (group.origins.len() + departures.len()) as u64;
+        std::hint::black_box(&blocked);
+    }
+    rays
+}
+
 /// The field with y up and its middle at the origin.
 fn parry(map: &HeightMap) -> HeightField {
     let mut heights = Array2::zeros(SIDE, SIDE);
@@ -134,9 +159,8 @@ fn parry(map: &HeightMap) -> HeightField {
 }
 
 fn parry_rays(field: &HeightField, groups: &[Group]) -> u64 {
-    let vector = |v: [f64; 3], middle: f64| {
-        Vec3::new((v[0] - middle) as f32, v[2] as f32, (v[1] - middle) as f32)
-    };
+    let vector =
+        |v: [f64; 3], middle: f64| Vec3::new((v[0] - middle) as f32, v[2] as f32, (v[1] - middle) as f32);
     let mut rays = 0;
     for group in groups {
         for origin in &group.origins {
@@ -156,7 +180,8 @@ fn parry_rays(field: &HeightField, groups: &[Group]) -> u64 {
 fn lambert(map: &HeightMap) -> neumip::Result<Reference> {
     let paint = Paint::plain([0.5; 3], 0.5, 0.0);
     let part = Part::Solid(Layer { height: map.clone(), paint });
-    let material = Material { name: "lambert".into(), parts: vec![part], height_range: None, notes: Vec::new() };
+    let material =
+        Material { name: "lambert".into(), parts: vec![part], height_range: None, notes: Vec::new() };
     let options = ReferenceOptions { resolution: Some([SIDE; 2]), bounces: 0, ..ReferenceOptions::default() };
     Reference::new(material, &options)
 }
@@ -203,6 +228,10 @@ impl Mitsuba {
     fn render(&mut self) -> f64 {
         let mut line = String::new();
         let asked = self.child.stdin.as_mut().is_some_and(|input| input.write_all(b"render\n").is_ok());
-        if asked && self.answers.read_line(&mut line).is_ok() { line.trim().parse().unwrap_or(f64::NAN) } else { f64::NAN }
+        if asked && self.answers.read_line(&mut line).is_ok() {
+            line.trim().parse().unwrap_or(f64::NAN)
+        } else {
+            f64::NAN
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! Rays against geometry that repeats with the tile: fibres ([`Curves`]) and triangle meshes ([`Triangles`]).
 //!
-//! Every primitive, in all its copies that touch the unit cell, stands in that cell's columns ([`columns`]); a ray walks
-//! over the cells it crosses ([`tiled`]) and takes the first hit inside the first of them that has one. What may be hit
+//! Every primitive, in all its copies that touch the unit cell, stands in that cell's columns (`columns`); a ray walks
+//! over the cells it crosses (`tiled`) and takes the first hit inside the first of them that has one. What may be hit
 //! is decided in f32, with margins; what is hit, and where, in f64 from the point where the ray enters the cell.
 
 mod columns;
