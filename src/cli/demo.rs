@@ -279,8 +279,13 @@ impl Demo {
     fn commands(&self) -> Vec<String> {
         let out = self.out.display();
         let mut commands = vec![format!(
-            "neumip demo --material {} --resolution {} --bounces {} --steps {} --batch {} --seed {} --out {out}",
-            self.material, self.resolution, self.surface.bounces, self.steps, self.batch, self.seed
+            "neumip demo --material {} --resolution {} {} --steps {} --batch {} --seed {} --out {out}",
+            self.material,
+            self.resolution,
+            self.surface.flags(),
+            self.steps,
+            self.batch,
+            self.seed
         )];
         let runs: Vec<String> = PRESETS.iter().map(|p| format!("{out}/{p}")).collect();
         commands.push(format!("neumip evaluate {} --data {out}/data", runs.join(" ")));

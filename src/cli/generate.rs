@@ -221,7 +221,12 @@ fn summary(manifest: &Manifest) -> String {
     let train = manifest.splits.get(&SplitName::Train);
     let samples = train.map_or(0, |split| split.samples());
     let noise = train.map_or(0.0, |split| split.noise);
-    format!("{} at {width} x {height}, {samples} training samples, noise {noise:.4}", manifest.material)
+    let noisy: usize = manifest.splits.values().map(|split| split.noisy_blocks).sum();
+    let noisy = if noisy > 0 { format!(", {noisy} blocks noisier than asked for") } else { String::new() };
+    format!(
+        "{} at {width} x {height}, {samples} training samples, noise {noise:.4}{noisy}",
+        manifest.material
+    )
 }
 
 /// Renders a shard's share with progress.

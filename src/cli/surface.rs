@@ -37,6 +37,13 @@ impl Surface {
         };
         Reference::open(material, &options)
     }
+
+    /// The flags that make the same surface again.
+    pub fn flags(&self) -> String {
+        let Self { bounces, field_side, material_seed, make_tileable } = self;
+        let mend = if *make_tileable { " --make-tileable" } else { "" };
+        format!("--bounces {bounces} --field-side {field_side} --material-seed {material_seed}{mend}")
+    }
 }
 
 /// The materials that a name stands for: `all` is every built-in one.

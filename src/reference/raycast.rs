@@ -12,7 +12,7 @@ use super::texture::Texture;
 pub const MAX_DISTANCE: f64 = 10_000.0;
 
 /// How far the slab in which a surface is looked for exceeds it, so that rounding never loses the outermost heights.
-const SLAB_MARGIN: f64 = 1e-7;
+pub(super) const SLAB_MARGIN: f64 = 1e-7;
 
 /// Steps along the normal by which a ray leaves the surface, in tile widths: far above the rounding of positions
 /// (1e-13 at hundreds of tiles), far below a texel.
@@ -286,7 +286,7 @@ impl Heightfield {
 }
 
 /// Direction components below this count as 0.
-const TINY: f64 = 1e-30;
+pub(super) const TINY: f64 = 1e-30;
 
 /// Block size, as a level, with which a walk starts: from above it first sinks through empty space; from the surface
 /// what is nearest decides.

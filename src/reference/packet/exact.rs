@@ -5,13 +5,7 @@
 use super::heights::Heights;
 use super::walk::{Each, GROUP, Steps};
 use crate::reference::heightfield::Heightfield;
-use crate::reference::raycast::{Hit, MAX_DISTANCE};
-
-/// How far the slab in which a surface is looked for exceeds it, so that rounding never loses the outermost heights.
-const SLAB_MARGIN: f64 = 1e-7;
-
-/// Direction components below this count as 0.
-const TINY: f64 = 1e-30;
+use crate::reference::raycast::{Hit, MAX_DISTANCE, SLAB_MARGIN, TINY};
 
 /// Largest component of origins and directions: beyond it single precision could overflow. No number is not smaller.
 const HUGE: f64 = 1e9;
