@@ -16,9 +16,9 @@ pub const TOLERANCE: f64 = 2e-5;
 pub const QUERIES: usize = 1024;
 
 /// `n` queries, in turn: plain, u negative or large, level below 0 or beyond the last, grazing, below the horizon.
-pub fn probes(n: usize, levels: usize, seed: u64) -> QueryBuffer {
+pub fn probes(n: usize, coarsest: usize, seed: u64) -> QueryBuffer {
     let mut queries = QueryBuffer::slice(1, n, [0.0; 2], [0.0; 2], 0.0);
-    let last = levels as f32 - 1.0;
+    let last = coarsest as f32;
     for k in 0..n {
         let mut random = Random::new(seed, Stream::Probe, k as u64);
         queries.u[k] = [random.uniform(), random.uniform()];
@@ -58,7 +58,7 @@ fn grazing(random: &mut Random) -> [f32; 2] {
 /// As [`NeuralMaterial::from_checkpoint`] and its answers.
 pub fn answers(checkpoint: &Checkpoint, n: usize) -> Result<Golden> {
     let material = NeuralMaterial::from_checkpoint(checkpoint, &Device::Cpu)?;
-    let queries = probes(n, checkpoint.header.architecture.levels(), 1);
+    let queries = probes(n, checkpoint.header.architecture.coarsest(), 1);
     let rgb = material.evaluate(&queries)?.pixels;
     let QueryBuffer { u, wi, wo, level, .. } = queries;
     Ok(Golden { tolerance: TOLERANCE, u, wi, wo, level, rgb })

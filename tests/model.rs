@@ -179,7 +179,7 @@ fn answers_are_continuous_in_level_and_clamp_at_its_ends() {
     };
     for (name, model, resolution) in materials::cases() {
         let checkpoint = materials::checkpoint(&model, resolution, 10);
-        let last = checkpoint.header.architecture.levels() as f32 - 1.0;
+        let last = checkpoint.header.architecture.coarsest() as f32;
         let at = |level: f32| {
             let mut q = buffer(&checkpoint, 256, 11);
             q.level.fill(level);

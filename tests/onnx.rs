@@ -103,7 +103,7 @@ fn graph_answers(checkpoint: &Checkpoint, queries: &QueryBuffer) -> Vec<[f32; 3]
 }
 
 fn probes(checkpoint: &Checkpoint) -> QueryBuffer {
-    golden::probes(PROBES, checkpoint.header.architecture.levels(), 7)
+    golden::probes(PROBES, checkpoint.header.architecture.coarsest(), 7)
 }
 
 fn lit(rgb: &[[f32; 3]]) -> usize {
@@ -119,8 +119,8 @@ fn spread(rgb: &[[f32; 3]]) -> f64 {
 
 #[test]
 fn probes_reach_every_edge_of_the_domain() {
-    let levels = 5;
-    let queries = golden::probes(PROBES, levels, 7);
+    let coarsest = 4;
+    let queries = golden::probes(PROBES, coarsest, 7);
     let least = PROBES / 100;
     let u = |test: fn(f32) -> bool| queries.u.iter().filter(|u| u.iter().any(|x| test(*x))).count();
     let level = |test: &dyn Fn(f32) -> bool| queries.level.iter().filter(|l| test(**l)).count();
@@ -131,8 +131,8 @@ fn probes_reach_every_edge_of_the_domain() {
         ("u beyond a hundred tiles", u(|x| x.abs() > 100.0)),
         ("u within the tile", u(|x| (0.0..1.0).contains(&x))),
         ("level below 0", level(&|l| l < 0.0)),
-        ("level beyond the last", level(&|l| l > levels as f32 - 1.0)),
-        ("fractional level", level(&|l| l > 0.0 && l < levels as f32 - 1.0 && l.fract() != 0.0)),
+        ("level beyond the last", level(&|l| l > coarsest as f32)),
+        ("fractional level", level(&|l| l > 0.0 && l < coarsest as f32 && l.fract() != 0.0)),
         ("whole level", level(&|l| l.fract() == 0.0)),
         ("grazing light", queries.wi.iter().filter(grazing).count()),
         ("grazing view", queries.wo.iter().filter(grazing).count()),
@@ -191,7 +191,7 @@ fn one_changed_parameter_of_any_tensor_is_noticed() {
 #[test]
 fn graphs_of_every_architecture_answer_as_the_model_does() {
     type Change = fn(&mut ModelConfig);
-    let cases: [(&str, &str, Change); 6] = [
+    let cases: [(&str, &str, Change); 7] = [
         ("neumip", "masked, in YUV", |m| (m.output.mask, m.output.space) = (true, OutputSpace::Yuv)),
         ("neumip", "without parallax and exponential", |m| {
             m.parallax = ParallaxConfig::None {};
@@ -200,6 +200,7 @@ fn graphs_of_every_architecture_answer_as_the_model_does() {
         ("paper", "as it is", |_| ()),
         ("paper", "without pi, z of directions", |m| (m.encoding.pi, m.encoding.components) = (false, 3)),
         ("improved", "as it is", |_| ()),
+        ("improved", "without its finest level", |m| m.texture.finest = 1),
         ("improved", "raw u, one level, in RGB", |m| {
             (m.encoding.u.raw, m.texture.levels, m.output.space) = (true, Some(1), OutputSpace::Rgb);
         }),

@@ -39,7 +39,11 @@ pub struct ModelConfig {
 pub struct TextureConfig {
     /// Channels of every level.
     pub channels: usize,
-    /// Number of levels; absent: log2 of the smaller side of the tile.
+    /// Finest level that is stored: queries of finer levels read it, and the offset texture has its size. A tile that is
+    /// never seen from near does not need more.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub finest: usize,
+    /// Number of stored levels; absent: log2 of the smaller side of the finest one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub levels: Option<usize>,
     /// Standard deviation of the initial values.
@@ -61,7 +65,7 @@ pub enum ParallaxConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OffsetConfig {
-    /// Channels of the offset texture, which has the tile's resolution.
+    /// Channels of the offset texture, which is as large as the pyramid's finest level.
     pub channels: usize,
     /// Widths of the hidden layers, ReLU after each.
     pub hidden: Vec<usize>,
@@ -215,7 +219,8 @@ impl Architecture {
         within("resolution[1]", self.resolution[1], 2, MAX_RESOLUTION)?;
         within("texture.channels", model.texture.channels, 1, MAX_CHANNELS)?;
         let most = self.full_levels();
-        within("texture.levels", self.levels(), 1, most + 1)?;
+        within("texture.finest", model.texture.finest, 0, most - 1)?;
+        within("texture.levels", self.levels(), 1, most + 1 - model.texture.finest)?;
         positive("texture.init_std", model.texture.init_std)?;
         if let ParallaxConfig::Offset(offset) = &model.parallax {
             within("parallax.channels", offset.channels, 1, MAX_CHANNELS)?;
@@ -245,21 +250,30 @@ impl Architecture {
         (side.ilog2() as usize).max(1)
     }
 
-    /// Number of pyramid levels.
+    /// Number of stored pyramid levels.
     pub fn levels(&self) -> usize {
-        self.model.texture.levels.unwrap_or_else(|| self.full_levels())
+        let all = self.full_levels().saturating_sub(self.model.texture.finest);
+        self.model.texture.levels.unwrap_or(all)
     }
 
-    /// Sizes of all levels, finest first; each side is max(1, side >> level).
+    /// The coarsest level that a query may have; coarser ones are clamped to it.
+    pub fn coarsest(&self) -> usize {
+        self.model.texture.finest + self.levels() - 1
+    }
+
+    /// \[height, width\] of the finest stored level and of the offset texture.
+    pub fn finest_size(&self) -> [usize; 2] {
+        self.resolution.map(|side| (side >> self.model.texture.finest).max(1))
+    }
+
+    /// Sizes of all stored levels, finest first; each side is max(1, side >> (finest + index)).
     pub fn level_sizes(&self) -> Vec<LevelSize> {
         let mut base = 0;
+        let [height, width] = self.finest_size();
         (0..self.levels())
-            .map(|level| {
-                let size = LevelSize {
-                    height: (self.resolution[0] >> level).max(1),
-                    width: (self.resolution[1] >> level).max(1),
-                    base,
-                };
+            .map(|index| {
+                let size =
+                    LevelSize { height: (height >> index).max(1), width: (width >> index).max(1), base };
                 base += size.height * size.width;
                 size
             })
@@ -339,7 +353,8 @@ impl Architecture {
             out.push((texture_name(level), vec![size.height, size.width, self.model.texture.channels]));
         }
         if let ParallaxConfig::Offset(offset) = &self.model.parallax {
-            out.push((OFFSET_TEXTURE.into(), vec![self.resolution[0], self.resolution[1], offset.channels]));
+            let [height, width] = self.finest_size();
+            out.push((OFFSET_TEXTURE.into(), vec![height, width, offset.channels]));
         }
         for (prefix, widths) in
             [(OFFSET_MLP, self.offset_widths().unwrap_or_default()), (DECODER_MLP, self.decoder_widths())]
@@ -391,7 +406,11 @@ pub const OFFSET_MLP: &str = "offset.mlp";
 /// Prefix of the decoder's layers.
 pub const DECODER_MLP: &str = "decoder.mlp";
 
-/// Name of one pyramid level.
+fn is_zero(n: &usize) -> bool {
+    *n == 0
+}
+
+/// Name of one stored pyramid level, counted from the finest one.
 pub fn texture_name(level: usize) -> String {
     format!("texture.level{level}")
 }

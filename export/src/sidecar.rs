@@ -30,7 +30,7 @@ pub struct Sidecar {
     pub height_range: [f32; 2],
     /// Texels of the tile, \[height, width\].
     pub resolution: [usize; 2],
-    /// Number of levels; queries are clamped to 0 .. levels - 1.
+    /// Number of stored levels; queries are clamped to 0 .. finest + levels - 1.
     pub levels: usize,
     /// What the material costs.
     pub cost: Cost,
@@ -222,9 +222,9 @@ fn conventions(measure: Measure, storage: Precision) -> Vec<String> {
 /// How a query is answered, with this material's numbers.
 fn steps(architecture: &Architecture) -> Vec<String> {
     let model = &architecture.model;
-    let [height, width] = architecture.resolution;
+    let [height, width] = architecture.finest_size();
     let mut steps = vec![
-        format!("Wrap: u = u - floor(u). Clamp: level = min(max(level, 0), {}).", architecture.levels() - 1),
+        format!("Wrap: u = u - floor(u). Clamp: level = min(max(level, 0), {}).", architecture.coarsest()),
         match &model.parallax {
             ParallaxConfig::None {} => "No parallax: u' = u.".into(),
             ParallaxConfig::Offset(offset) => format!(
@@ -240,6 +240,12 @@ fn steps(architecture: &Architecture) -> Vec<String> {
             model.texture.channels
         ),
     ];
+    if let finest @ 1.. = model.texture.finest {
+        steps.push(format!(
+            "The tile's {finest} finest levels are not stored: texture.level0 is level {finest}, so that the lookup \
+             takes max(level - {finest}, 0) in the place of level. The encoding takes level."
+        ));
+    }
     steps.push(encoding_step(architecture));
     steps.push(format!(
         "Decoder: input [features, u encoding, wi encoding, wo encoding] ({} values), layers relu(W x + b), the last \

@@ -72,7 +72,7 @@ fn encode(
             None => levels.push(tensor.clone()),
         }
     }
-    let [height, width] = checkpoint.header.architecture.resolution;
+    let [height, width] = checkpoint.header.architecture.finest_size();
     let mip_levels = height.max(width).ilog2() as usize + 1;
     while levels.len() < mip_levels {
         levels.push(half_size(&levels[levels.len() - 1]));

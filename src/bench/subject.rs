@@ -56,7 +56,7 @@ impl Subject {
         let hidden = vec![25; 3];
         let direction = DirectionEncoding { bands: 4, raw: false, amplitude: 1.0 };
         let model = ModelConfig {
-            texture: TextureConfig { channels: 7, levels, init_std: 0.1 },
+            texture: TextureConfig { channels: 7, finest: 0, levels, init_std: 0.1 },
             parallax: ParallaxConfig::Offset(OffsetConfig {
                 channels: 7,
                 hidden: hidden.clone(),

@@ -143,7 +143,7 @@ pub fn evaluate(
             ));
         }
         let Answerer { material, engine } = answerer(&checkpoint, by.engine, by.precision, &device)?;
-        levels = architecture.levels();
+        levels = architecture.coarsest() + 1;
         let mut meter = console.meter(format!("evaluate {}", run.display()), splits.len() as u64, "splits");
         let mut rows = Vec::new();
         for (done, split) in splits.iter().enumerate() {

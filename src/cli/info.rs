@@ -70,6 +70,7 @@ fn checkpoint(checkpoint: &Checkpoint) -> Value {
         "height_range": header.height_range,
         "resolution": architecture.resolution,
         "levels": architecture.levels(),
+        "finest_stored_level": architecture.model.texture.finest,
         "weights": architecture.network_weights(),
         "texture_values": architecture.texture_values(),
         "bytes": architecture.bytes(),

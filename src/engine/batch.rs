@@ -94,7 +94,7 @@ impl Batch {
     /// Sums of zero.
     pub fn zeros(&self) -> Sums {
         let architecture = &self.plan.architecture;
-        let [height, width] = architecture.resolution;
+        let [height, width] = architecture.finest_size();
         Sums {
             networks: vec![0.0; self.weights],
             pyramid: vec![0.0; architecture.pyramid_texels() * padded(self.plan.channels())],
@@ -206,7 +206,7 @@ impl Worker {
                 .map(|pair| pair.split_at_mut(stride));
             let rows = [ux.0, ux.1, wix.0, wix.1, wox.0, wox.1].map(|row| &mut row[start..start + n]);
             piece.layout().rows(plan.architecture.resolution, rows);
-            let coarsest = (plan.architecture.levels() - 1) as f32;
+            let coarsest = plan.architecture.coarsest() as f32;
             self.piece.level[start..start + n].fill(piece.level().min(coarsest));
             for (c, row) in self.target.chunks_mut(stride).enumerate() {
                 for (to, pixel) in row[start..].iter_mut().zip(piece.rgb()) {

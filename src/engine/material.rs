@@ -184,7 +184,7 @@ impl FusedMaterial {
             let (x, y) = rows.split_at_mut(stride);
             rows::split(self.plan.isa, &pairs[start..end], wrap, x, y);
         }
-        let coarsest = (self.plan.architecture.levels() - 1) as f32;
+        let coarsest = self.plan.architecture.coarsest() as f32;
         for (to, from) in level.iter_mut().zip(&queries.level[start..end]) {
             *to = from.clamp(0.0, coarsest);
         }

@@ -41,7 +41,7 @@ pub struct Textures<'a> {
 impl<'a> Textures<'a> {
     /// The textures of a plan, from the values of its levels, finest first, and of the offset texture, where it has one.
     pub fn new(plan: &Plan, levels: Vec<Texels<'a>>, offset: Option<Texels<'a>>) -> Self {
-        let [height, width] = plan.architecture.resolution;
+        let [height, width] = plan.architecture.finest_size();
         let pyramid = |levels| Pyramid { levels, height, width };
         Self { pyramid: pyramid(levels), offset: offset.map(|texels| pyramid(vec![texels])) }
     }

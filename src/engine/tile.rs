@@ -164,7 +164,17 @@ impl Tile {
         let channels = plan.channels();
         let looked_at = if parallax.is_some() { &self.position } else { &self.queries.u };
         let (x, y) = looked_at.split_at(stride);
-        let places = Places { x, y, level: &self.queries.level };
+        let finest = plan.architecture.model.texture.finest as f32;
+        let level = if finest > 0.0 {
+            let level = &mut self.scratch[..stride];
+            for (to, from) in level.iter_mut().zip(&self.queries.level) {
+                *to = (from - finest).max(0.0);
+            }
+            level
+        } else {
+            &mut self.queries.level[..]
+        };
+        let places = Places { x, y, level };
         aim(isa, stride, channels, &textures.pyramid, places, &mut self.aim);
         self.directions(plan, Which::View);
         if light {

@@ -49,8 +49,8 @@ impl Inputs {
         device: &Device,
     ) -> Result<Self> {
         let n = u.len();
-        let [height, width] = architecture.resolution;
-        let coarsest = (architecture.levels() - 1) as f32;
+        let [height, width] = architecture.finest_size();
+        let coarsest = architecture.coarsest() as f32;
         let wrapped: Vec<[f32; 2]> = u.iter().map(|&u| taps::wrap(u)).collect();
         let level: Vec<f32> = level.iter().map(|l| l.clamp(0.0, coarsest)).collect();
 
@@ -95,10 +95,12 @@ impl Inputs {
 impl Levels {
     fn new(architecture: &Architecture, level: &[f32], device: &Device) -> Result<Self> {
         let sizes = architecture.level_sizes();
+        let finest = architecture.model.texture.finest as f32;
         let n = level.len();
         let (mut size, mut width) = (Vec::with_capacity(4 * n), Vec::with_capacity(2 * n));
         let (mut base, mut mix) = (Vec::with_capacity(2 * n), Vec::with_capacity(2 * n));
         for &level in level {
+            let level = (level - finest).max(0.0);
             let finer = level.floor();
             let coarse_share = level - finer;
             let finer = finer as usize;

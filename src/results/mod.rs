@@ -61,7 +61,9 @@ impl Results {
         // The version comes first: another one may have other fields.
         match value.get("format").and_then(serde_json::Value::as_u64) {
             Some(version) if version == u64::from(FORMAT) => {}
-            Some(version) => return Err(failed(format!("has format {version}; this program reads {FORMAT}"))),
+            Some(version) => {
+                return Err(failed(format!("has format {version}; this program reads {FORMAT}")));
+            }
             None => return Err(failed("has no field format: it is no results file".into())),
         }
         serde_json::from_value(value).map_err(|e| failed(format!("is no results file: {e}")))

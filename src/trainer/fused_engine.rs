@@ -51,7 +51,7 @@ impl FusedEngine {
         let mut textures: Vec<Read> =
             sizes.map(|(l, s)| read(texture_name(l), [s.height, s.width], channels, s.base)).collect();
         if let Some(channels) = architecture.offset_channels() {
-            textures.push(read(OFFSET_TEXTURE.into(), architecture.resolution, channels, 0));
+            textures.push(read(OFFSET_TEXTURE.into(), architecture.finest_size(), channels, 0));
         }
         Self { sums: batch.zeros(), batch, textures, room: Default::default() }
     }

@@ -45,12 +45,13 @@ class Material:
         self.resolution = self.header["architecture"]["resolution"]
         self.tensors = {name: tensor.astype(np.float64) for name, tensor in tensors.items()}
         self.levels = sum(name.startswith("texture.level") for name in tensors)
+        self.finest = self.model["texture"].get("finest", 0)
 
     def evaluate(self, u, wi, wo, level):
         """Answers queries: [N, 2], [N, 2], [N, 2], [N] -> [N, 3]."""
         u, wi, wo, level = (np.asarray(a, np.float32) for a in (u, wi, wo, level))
         u = u - np.floor(u)
-        level = np.clip(level.astype(np.float64), 0, self.levels - 1)
+        level = np.clip(level.astype(np.float64), 0, self.finest + self.levels - 1)
         (wi, wi_z, wi_up), (wo, wo_z, wo_up) = direction(wi), direction(wo)
 
         shifted = u.astype(np.float64)
@@ -60,7 +61,7 @@ class Material:
             depth = self.network("offset.mlp", np.concatenate([texture, wo], 1)) * offset["scale"]
             shifted = shifted + 0.5 * depth * wo / np.maximum(wo_z, offset["min_z"])
 
-        features = self.features(shifted, level)
+        features = self.features(shifted, np.maximum(level - self.finest, 0))
         encoded = self.encode(u, wi, wi_z, wo, wo_z, level)
         rgb = self.colour(self.network("decoder.mlp", np.concatenate([features, *encoded], 1)))
         return np.where(wi_up & wo_up, np.maximum(rgb, 0), 0)

@@ -121,7 +121,8 @@ pub fn material_graph_as(checkpoint: &Checkpoint, textures: Precision) -> Result
     let shape = [architecture.pyramid_texels(), architecture.model.texture.channels];
     let table = texture::Table::new(&mut b, "texture.pyramid", shape, &texels, textures);
     drop(texels);
-    let features = texture::lookup(&mut b, &shifted, &query.level, &table, &sizes);
+    let level = query::stored(&mut b, &query.level, architecture.model.texture.finest);
+    let features = texture::lookup(&mut b, &shifted, &level, &table, &sizes);
     answer(b, checkpoint, &query, &features, (true, sizes.len() > 1))
 }
 
@@ -138,7 +139,7 @@ fn declare(b: &mut Builder, ports: &[Port]) -> Vec<Value> {
 }
 
 fn column(b: &mut Builder, checkpoint: &Checkpoint, level: &Value) -> Value {
-    query::clamped(b, level, checkpoint.header.architecture.levels())
+    query::clamped(b, level, checkpoint.header.architecture.coarsest())
 }
 
 /// From features to the model's bytes; `read` says whether u and the level were read on the way to here.

@@ -58,7 +58,7 @@ pub fn parallax(
     wo: &Direction,
 ) -> Result<Value> {
     b.scope("parallax");
-    let [height, width] = checkpoint.header.architecture.resolution;
+    let [height, width] = checkpoint.header.architecture.finest_size();
     let values = &checkpoint.tensor(OFFSET_TEXTURE)?.data;
     let shape = [height * width, offset.channels];
     let table = Table::new(b, OFFSET_TEXTURE, shape, values, precision);

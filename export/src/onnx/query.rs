@@ -40,11 +40,21 @@ pub fn wrapped(b: &mut Builder, u: &Value) -> Value {
     b.sub("u.wrapped", u, &floor)
 }
 
-/// The level within the pyramid, \[N, 1\].
-pub fn clamped(b: &mut Builder, level: &Value, levels: usize) -> Value {
+/// The level from 0 to the coarsest, \[N, 1\].
+pub fn clamped(b: &mut Builder, level: &Value, coarsest: usize) -> Value {
     b.scope("query");
     let level = b.unsqueeze("level.column", level, &[1]);
-    b.clip("level", &level, 0.0, (levels - 1) as f32)
+    b.clip("level", &level, 0.0, coarsest as f32)
+}
+
+/// The level counted from the finest stored one, \[N, 1\].
+pub fn stored(b: &mut Builder, level: &Value, finest: usize) -> Value {
+    if finest == 0 {
+        return level.clone();
+    }
+    let finest = b.scalar(finest as f32);
+    let level = b.sub("level.from_finest", level, &finest);
+    b.at_least("level.stored", &level, 0.0)
 }
 
 /// 0 \[N, 1\] made from a value \[N, columns\] that the answer does not depend on, so that every graph reads

@@ -51,7 +51,7 @@ fn offset() -> ParallaxConfig {
 /// NeuMIP's own structure, which the cases vary.
 fn baseline() -> ModelConfig {
     ModelConfig {
-        texture: TextureConfig { channels: 7, levels: None, init_std: 0.1 },
+        texture: TextureConfig { channels: 7, finest: 0, levels: None, init_std: 0.1 },
         parallax: offset(),
         encoding: EncodingConfig {
             pi: true,
@@ -125,7 +125,7 @@ pub fn cases() -> Vec<(&'static str, ModelConfig, [usize; 2])> {
             "one level, u unencoded",
             case(|m| {
                 m.parallax = ParallaxConfig::None {};
-                m.texture = TextureConfig { channels: 3, levels: Some(1), init_std: 0.1 };
+                m.texture = TextureConfig { channels: 3, finest: 0, levels: Some(1), init_std: 0.1 };
                 m.decoder = DecoderConfig::Mlp { hidden: vec![8] };
             }),
             [9, 5],
@@ -141,6 +141,14 @@ pub fn cases() -> Vec<(&'static str, ModelConfig, [usize; 2])> {
                 m.texture.levels = Some(4);
             }),
             [8, 8],
+        ),
+        (
+            "two finest levels left out",
+            case(|m| {
+                m.encoding.u = position(6, true, true, false);
+                m.texture.finest = 2;
+            }),
+            [48, 33],
         ),
         (
             "one level, attenuated",
@@ -191,7 +199,7 @@ pub fn checkpoint(model: &ModelConfig, resolution: [usize; 2], seed: u64) -> Che
 pub fn queries(architecture: &Architecture, count: usize, seed: u64) -> Golden {
     let mut numbers = Numbers::new(seed);
     let [height, width] = architecture.resolution;
-    let levels = architecture.levels() as f32;
+    let levels = architecture.coarsest() as f32 + 1.0;
     let mut out = Golden { tolerance: 1e-4, u: vec![], wi: vec![], wo: vec![], level: vec![], rgb: vec![] };
     for i in 0..count {
         let mut place = |texels: usize| match i % 5 {

@@ -18,7 +18,8 @@ pub fn features(checkpoint: &Checkpoint, u: [f32; 2], wo: [f32; 2], level: f32) 
         at = [0, 1].map(|c| at[c] + 0.5 * depth * f64::from(wo[c]) / z);
     }
     let last = architecture.levels() - 1;
-    let level = f64::from(level).clamp(0.0, last as f64);
+    let finest = architecture.model.texture.finest as f64;
+    let level = (f64::from(level) - finest).clamp(0.0, last as f64);
     let fine = level.floor() as usize;
     let fraction = level - level.floor();
     let a = bilinear(checkpoint, &texture_name(fine), at);
@@ -84,7 +85,7 @@ fn encoding(architecture: &Architecture, u: [f32; 2], wi: [f32; 2], wo: [f32; 2]
         }
     };
     let p = wrapped(u).map(|u| f64::from(2.0 * u - 1.0));
-    let level = f64::from(level).clamp(0.0, (architecture.levels() - 1) as f64);
+    let level = f64::from(level).clamp(0.0, architecture.coarsest() as f64);
     let attenuation = |k: usize, c: usize| {
         let texels = [architecture.resolution[1], architecture.resolution[0]][c] as f64;
         let deviation = level.exp2() * 2.0 / texels / 12f64.sqrt();

@@ -169,7 +169,7 @@ impl Gradients {
             all.push((texture_name(level), smoothed(&part, sigmas.pyramid[level])?));
         }
         if let Some(offset) = self.offset {
-            let [height, width] = architecture.resolution;
+            let [height, width] = architecture.finest_size();
             let offset = offset.reshape((height, width, ()))?;
             all.push((OFFSET_TEXTURE.into(), smoothed(&offset, sigmas.offset)?));
         }
