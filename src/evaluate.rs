@@ -6,6 +6,7 @@ use crate::metrics::ssim::ssim;
 use crate::metrics::{ErrorSum, Errors};
 use crate::query::{QueryBuffer, Reflectance};
 use crate::random::{Random, Stream};
+use crate::results::Metrics;
 use rayon::ThreadPoolBuilder;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -34,6 +35,20 @@ pub struct Row {
     pub ssim: Option<f64>,
     /// Variance of the reference itself: a perfect answer's `mse_linear`.
     pub noise: Option<f64>,
+}
+
+impl Row {
+    /// The errors by name.
+    pub fn metrics(&self) -> Metrics {
+        Metrics {
+            mse: Some(self.errors.mse),
+            mse_linear: Some(self.errors.mse_linear),
+            mse_log1p: Some(self.errors.mse_log1p),
+            psnr: self.psnr,
+            ssim: self.ssim,
+            ..Metrics::default()
+        }
+    }
 }
 
 #[derive(Default)]
@@ -66,28 +81,46 @@ impl Bucket {
 pub fn error_table(answerer: &dyn Reflectance, data: &Dataset, splits: &[SplitName]) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for &name in splits {
-        let split = data.split(name)?;
-        let mut levels: BTreeMap<usize, Bucket> = BTreeMap::new();
-        let mut all = Bucket::default();
-        for file in 0..split.files() {
-            for block in split.read_file(file)? {
-                let answer = answerer.evaluate(&block.queries(data.resolution()))?.pixels;
-                let target = block.target();
-                let level = levels.entry(block.level().floor() as usize).or_default();
-                for bucket in [level, &mut all] {
-                    bucket.sum.add(&answer, &target);
-                    bucket.noise.0 += f64::from(block.noise());
-                    bucket.noise.1 += 1;
-                    for image in images(block.side(), block.patch(), &answer, &target) {
-                        bucket.ssim.0 += image;
-                        bucket.ssim.1 += 1;
-                    }
+        rows.extend(split_table(answerer, data, name, u64::MAX)?);
+    }
+    Ok(rows)
+}
+
+/// Errors on the first `most` samples of a split (rounded up to whole files): a row a level and one for all.
+///
+/// # Errors
+/// As [`error_table`].
+pub fn split_table(
+    answerer: &dyn Reflectance,
+    data: &Dataset,
+    name: SplitName,
+    most: u64,
+) -> Result<Vec<Row>> {
+    let split = data.split(name)?;
+    let mut levels: BTreeMap<usize, Bucket> = BTreeMap::new();
+    let mut all = Bucket::default();
+    for file in 0..split.files() {
+        if all.sum.pixels() >= most {
+            break;
+        }
+        for block in split.read_file(file)? {
+            let answer = answerer.evaluate(&block.queries(data.resolution()))?.pixels;
+            let target = block.target();
+            let level = levels.entry(block.level().floor() as usize).or_default();
+            for bucket in [level, &mut all] {
+                bucket.sum.add(&answer, &target);
+                bucket.noise.0 += f64::from(block.noise());
+                bucket.noise.1 += 1;
+                for image in images(block.side(), block.patch(), &answer, &target) {
+                    bucket.ssim.0 += image;
+                    bucket.ssim.1 += 1;
                 }
             }
         }
-        rows.extend(levels.iter().map(|(level, bucket)| bucket.row(name.as_str(), Some(*level))));
-        rows.push(all.row(name.as_str(), None));
     }
+    let mut rows: Vec<Row> =
+        levels.iter().map(|(level, bucket)| bucket.row(name.as_str(), Some(*level))).collect();
+    rows.push(all.row(name.as_str(), None));
     Ok(rows)
 }
 

@@ -42,6 +42,7 @@ pub mod query;
 pub mod random;
 pub mod reference;
 pub mod report;
+pub mod reproduce;
 pub mod results;
 pub mod srgb;
 pub mod trainer;

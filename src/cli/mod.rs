@@ -8,6 +8,7 @@ mod export;
 mod generate;
 mod info;
 mod look;
+mod reproduce;
 mod surface;
 mod train;
 
@@ -44,6 +45,8 @@ enum Command {
     Evaluate(evaluate::Evaluate),
     /// Write what another renderer needs.
     Export(export::Export),
+    /// Ask the paper's questions again: tables, ablation, Inception decoder, speed against accuracy.
+    Reproduce(reproduce::Reproduce),
     /// How fast this machine trains and answers.
     Bench(bench::Bench),
     /// Say what a checkpoint, run, dataset or bundle is.
@@ -65,6 +68,7 @@ impl Cli {
             Command::Train(command) => command.run(&console),
             Command::Evaluate(command) => command.run(&console),
             Command::Export(command) => command.run(&console),
+            Command::Reproduce(command) => command.run(&console),
             Command::Bench(command) => command.run(&console),
             Command::Info(command) => command.run(&console),
         }

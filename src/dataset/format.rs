@@ -27,7 +27,7 @@ pub const MANIFEST: &str = "dataset.json";
 pub enum SplitName {
     /// What is learned from.
     Train,
-    /// As scattered training data, held out.
+    /// As the training data, held out: scattered patches, or whole slices.
     Validation,
     /// Whole slices under held-out directions, from texel centre to texel centre.
     Test,

@@ -59,7 +59,17 @@ pub(crate) fn plans(config: &GenerateConfig, earlier: &[u64]) -> Result<Vec<Plan
     let held_out = |samples: u64| [samples].into_iter().filter(|n| *n > 0);
     let mut all = Vec::new();
     for samples in held_out(config.validation_samples) {
-        all.push(Plan::scattered(config, SplitName::Validation, &[samples], config.fractional_share, spread));
+        all.push(match config.regime {
+            Regime::Scattered => {
+                Plan::scattered(config, SplitName::Validation, &[samples], config.fractional_share, spread)
+            }
+            // A decoder that sees its neighbours can be asked on whole slices only, so these validate themselves.
+            Regime::Slices(_) => {
+                let pairs = samples.div_ceil((config.resolution * config.resolution) as u64) as usize;
+                let parts = vec![Slices::in_order(config.levels(), pairs.max(2))];
+                Plan::slices(config, SplitName::Validation, parts, spread)
+            }
+        });
     }
     if config.test_pairs > 0 {
         let parts = vec![Slices::in_order(config.levels(), config.test_pairs)];

@@ -12,10 +12,14 @@ pub mod picture;
 #[cfg(test)]
 mod tests;
 
+pub use page::escaped;
 pub use panel::Panel;
 
 use crate::error::{Error, Result};
 use serde::Serialize;
+
+/// The style of every page.
+pub const STYLE: &str = include_str!("style.css");
 
 /// Everything the page shows.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

@@ -14,7 +14,7 @@ pub(super) fn html(report: &Report) -> Result<String> {
     let mut page = String::from("<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n");
     page += "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n";
     page += &format!("<title>{}</title>\n", escaped(&report.title));
-    page += &format!("<style>\n{}</style>\n</head>\n<body>\n", include_str!("style.css"));
+    page += &format!("<style>\n{}</style>\n</head>\n<body>\n", super::STYLE);
     page += &head(report);
     page += &panels(&report.panels)?;
     page += &training(report)?;
@@ -27,7 +27,7 @@ pub(super) fn html(report: &Report) -> Result<String> {
 }
 
 /// Text as it may stand between tags and inside quoted attributes.
-pub(super) fn escaped(text: &str) -> String {
+pub fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
         match c {

@@ -102,8 +102,8 @@ pub struct Trial {
     pub seed: u64,
     /// Samples presented, a texel.
     pub samples_per_texel: f64,
-    /// `mse` on the validation split.
-    pub mse: f64,
+    /// `mse` on the validation split; none where the training did not end in numbers.
+    pub mse: Option<f64>,
     /// True for the one that the preset was run with.
     pub chosen: bool,
 }
