@@ -4,8 +4,9 @@
     python scripts/inception_peer.py [--json peer.json]
 
 Channels-last, float32, on all cores or `--threads`: eager, and compiled with `--compile` (which needs a C++ compiler).
-Answering is the forward pass in inference mode; training is forward, and backward to weights and inputs. Patches wrap
-around, as tiles do. Prints samples (pixels) a second, medians.
+Answering is the forward pass in inference mode; training is forward, and backward to weights and inputs. Outside a patch
+are zeros, which costs PyTorch less than wrapping around (its circular padding leaves channels-last). Prints samples (pixels)
+a second, medians.
 
 With `--beside COMMAND` a program takes turns with PyTorch, round by round, so that a machine whose speed changes changes no
 ratio. `{shape}`, `{side}` and `{work}` in the command become `inception` or `inception-small`, the side of the patch in
@@ -41,15 +42,14 @@ class Module(nn.Module):
     def __init__(self, paths, reduce):
         super().__init__()
         width, (p1, p2, p3, p4), (r2, r3) = sum(paths), paths, reduce
-        circular = {"padding_mode": "circular"}
         self.path1 = nn.Conv2d(width, p1, 1)
-        self.reduce2, self.path2 = nn.Conv2d(width, r2, 1), nn.Conv2d(r2, p2, 3, padding=1, **circular)
-        self.reduce3, self.path3 = nn.Conv2d(width, r3, 1), nn.Conv2d(r3, p3, 5, padding=2, **circular)
+        self.reduce2, self.path2 = nn.Conv2d(width, r2, 1), nn.Conv2d(r2, p2, 3, padding=1)
+        self.reduce3, self.path3 = nn.Conv2d(width, r3, 1), nn.Conv2d(r3, p3, 5, padding=2)
         self.path4 = nn.Conv2d(width, p4, 1)
 
     def forward(self, x):
         relu = functional.relu
-        pooled = functional.max_pool2d(functional.pad(x, (1, 1, 1, 1), mode="circular"), 3, 1)
+        pooled = functional.max_pool2d(x, 3, 1, 1)
         parts = [
             self.path1(x),
             self.path2(relu(self.reduce2(x))),

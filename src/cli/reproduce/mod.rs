@@ -85,6 +85,9 @@ pub struct Reproduce {
     /// Say what would be run, and run nothing.
     #[arg(long)]
     plan: bool,
+    /// Render the datasets of the regimes and stop.
+    #[arg(long)]
+    prepare: bool,
     /// Rounds of the timing; 0 leaves it out.
     #[arg(long, default_value_t = 7)]
     rounds: usize,
@@ -133,13 +136,13 @@ struct Size {
 const FULL: Size = Size {
     resolution: 128,
     budget: 1200,
-    unique: 120,
+    unique: 100,
     batch: 8192,
     trials: 8,
     seeds: 2,
     spp: 16,
     held_out_spp: 64,
-    test_pairs: 16,
+    test_pairs: 12,
     view_size: 192,
     materials: &["all"],
     tuned_on: &["metal-rings", "rocks"],

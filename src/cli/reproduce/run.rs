@@ -74,6 +74,12 @@ impl Run<'_> {
             self.console.say(format!("{}: {taken} files taken over", other.display()));
         }
         let mut known = Known::default();
+        if self.asked.prepare {
+            for job in mine.iter().filter(|job| self.scope.regimes.contains(&job.directions)) {
+                self.data(&folder, &job.material, job.directions, &mut known)?;
+            }
+            return Ok(());
+        }
         let clock = Instant::now();
         let mut trained = 0u32;
         for (k, job) in mine.iter().enumerate() {
