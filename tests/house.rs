@@ -43,7 +43,8 @@ const FLOW: [(&str, &[&str]); 22] = [
     ),
     ("inference", &["query", "kernels", "engine", "model", "export"]),
     ("bench", &["engine", "kernels", "model", "trainer", "dataset", "query", "random", "export"]),
-    ("evaluate", &["query", "metrics", "dataset", "random"]),
+    // Its rows leave as the metrics of results.
+    ("evaluate", &["query", "metrics", "dataset", "random", "results"]),
     ("onnx_material", &["query"]),
     ("golden", &["model", "query", "random", "export"]),
     ("results", &["export"]),
