@@ -2,6 +2,7 @@
 
 use crate::dataset::{Dataset, SplitName};
 use crate::error::Result;
+use crate::metrics::flicker::Flicker;
 use crate::metrics::flip::flip;
 use crate::metrics::ssim::ssim;
 use crate::metrics::{ErrorSum, Errors};
@@ -22,7 +23,7 @@ const TIMED_DISC: f32 = 0.99;
 /// One line of the error table.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
-    /// Split, `views/NAME` for a view.
+    /// Split, `views/NAME` for a view, `motion/NAME` for a sequence.
     pub split: String,
     /// The level, rounded down; none for all of the split.
     pub level: Option<usize>,
@@ -37,6 +38,12 @@ pub struct Row {
     pub ssim: Option<f64>,
     /// Mean over the same images.
     pub flip: Option<f64>,
+    /// Of a sequence.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub flicker: Option<f64>,
+    /// Of a sequence, the most `flicker` that the reference's noise is expected to make of a perfect answer.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub flicker_noise: Option<f64>,
     /// Variance of the reference itself: a perfect answer's `mse_linear`.
     pub noise: Option<f64>,
 }
@@ -51,6 +58,7 @@ impl Row {
             psnr: self.psnr,
             ssim: self.ssim,
             flip: self.flip,
+            flicker: self.flicker,
             ..Metrics::default()
         }
     }
@@ -115,6 +123,8 @@ impl Bucket {
             psnr: errors.psnr(),
             ssim: self.ssim.value(),
             flip: self.flip.value(),
+            flicker: None,
+            flicker_noise: None,
             noise: self.noise.value(),
         }
     }
@@ -160,6 +170,27 @@ pub fn view_table(answerer: &dyn Reflectance, data: &Dataset) -> Result<Vec<Row>
         let mut bucket = Bucket::default();
         bucket.add(&answer.pixels, &reference.pixels, view.summary.variance, &[image]);
         rows.push(bucket.row(&format!("views/{}", view.name), None));
+    }
+    Ok(rows)
+}
+
+/// Errors on the sequences: a row each, over all of its frames.
+///
+/// # Errors
+/// As [`error_table`].
+pub fn motion_table(answerer: &dyn Reflectance, data: &Dataset) -> Result<Vec<Row>> {
+    let mut rows = Vec::new();
+    for sequence in &data.manifest().motion {
+        let (mut bucket, mut flicker) = (Bucket::default(), Flicker::default());
+        for frame in &sequence.frames {
+            let (queries, reference) = data.read_view(&frame.name)?;
+            let (answer, variance) = (answerer.evaluate(&queries)?, frame.summary.variance);
+            let image = Likeness::new(answer.height, answer.width, &answer.pixels, &reference.pixels);
+            bucket.add(&answer.pixels, &reference.pixels, variance, &[image]);
+            flicker.add(&answer.pixels, &reference.pixels, f64::from(variance));
+        }
+        let row = bucket.row(&format!("motion/{}", sequence.name), None);
+        rows.push(Row { flicker: flicker.value(), flicker_noise: flicker.noise(), ..row });
     }
     Ok(rows)
 }

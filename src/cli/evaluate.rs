@@ -152,6 +152,7 @@ pub fn evaluate(
             console.check("no table was written")?;
         }
         rows.extend(crate::evaluate::view_table(&*material, data)?);
+        rows.extend(crate::evaluate::motion_table(&*material, data)?);
         meter.finish(splits.len() as u64);
         let samples = checkpoint.header.provenance.get("samples").and_then(serde_json::Value::as_f64);
         let texels = (architecture.resolution[0] * architecture.resolution[1]) as f64;
@@ -250,9 +251,10 @@ struct Column {
     of: fn(&Row) -> Option<f64>,
 }
 
-const COLUMNS: [Column; 4] = [
+const COLUMNS: [Column; 5] = [
     Column { name: "mse", width: 9, digits: 4, always: true, of: |r| Some(r.errors.mse * MILLI) },
     Column { name: "psnr", width: 7, digits: 2, always: true, of: |r| r.psnr },
     Column { name: "ssim", width: 6, digits: 3, always: true, of: |r| r.ssim },
     Column { name: "flip", width: 6, digits: 3, always: true, of: |r| r.flip },
+    Column { name: "flicker", width: 7, digits: 3, always: false, of: |r| r.flicker },
 ];

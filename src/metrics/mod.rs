@@ -1,6 +1,7 @@
 //! Errors by name: `mse` (clamped to \[0, 1\], the headline), `mse_linear`, `mse_log1p`, `psnr` (of `mse`),
-//! `ssim`, `flip`.
+//! `ssim`, `flip`, `flicker` of sequences.
 
+pub mod flicker;
 pub mod flip;
 pub mod ssim;
 
