@@ -43,6 +43,7 @@ const FLOW: [(&str, &[&str]); 23] = [
     ),
     ("inference", &["query", "kernels", "engine", "model", "export"]),
     ("bench", &["engine", "kernels", "model", "trainer", "dataset", "query", "random", "export"]),
+    // Its rows leave as the metrics of results.
     ("evaluate", &["query", "metrics", "dataset", "random", "results"]),
     ("onnx_material", &["query"]),
     ("golden", &["model", "query", "random", "export"]),

@@ -152,6 +152,7 @@ pub fn evaluate(
             console.check("no table was written")?;
         }
         rows.extend(crate::evaluate::view_table(&*material, data)?);
+        rows.extend(crate::evaluate::motion_table(&*material, data)?);
         meter.finish(splits.len() as u64);
         let samples = checkpoint.header.provenance.get("samples").and_then(serde_json::Value::as_f64);
         let texels = (architecture.resolution[0] * architecture.resolution[1]) as f64;
@@ -202,30 +203,58 @@ pub fn text_table(evaluations: &[Evaluation]) -> String {
             e.bytes
         );
     }
-    out += &format!("\n{:<12} {:>5} {:>9}", "split", "level", "noise");
+    let shown: Vec<&Column> = COLUMNS
+        .iter()
+        .filter(|column| {
+            column.always || evaluations.iter().flat_map(|e| &e.rows).any(|r| (column.of)(r).is_some())
+        })
+        .collect();
+    let splits = evaluations.iter().flat_map(|e| &e.rows).map(|row| row.split.len());
+    let split_width = splits.max().unwrap_or(0).max(12);
+    out += &format!("\n{:<split_width$} {:>5} {:>9}", "split", "level", "noise");
     for k in 1..=evaluations.len() {
-        out += &format!(" | {:>9} {:>7} {:>6}", format!("mse[{k}]"), "psnr", "ssim");
+        out += " |";
+        for Column { name, width, .. } in &shown {
+            let name = if *name == "mse" { format!("mse[{k}]") } else { name.to_string() };
+            out += &format!(" {name:>width$}");
+        }
     }
     let Some(first) = evaluations.first() else {
         return out;
     };
-    let number = |v: Option<f64>, scale: f64, digits: usize| {
-        v.map_or("-".to_string(), |v| format!("{:.digits$}", v * scale))
-    };
+    let number = |v: Option<f64>, digits: usize| v.map_or("-".to_string(), |v| format!("{v:.digits$}"));
     for (i, row) in first.rows.iter().enumerate() {
         let level = row.level.map_or("all".into(), |l| l.to_string());
-        out += &format!("\n{:<12} {level:>5} {:>9}", row.split, number(row.noise, 1e3, 4));
-        for e in evaluations {
-            if let Some(r) = e.rows.get(i) {
-                out += &format!(
-                    " | {:>9.4} {:>7} {:>6}",
-                    r.errors.mse * 1e3,
-                    number(r.psnr, 1.0, 2),
-                    number(r.ssim, 1.0, 3)
-                );
+        let noise = number(row.noise.map(|v| v * MILLI), 4);
+        out += &format!("\n{:<split_width$} {level:>5} {noise:>9}", row.split);
+        for r in evaluations.iter().filter_map(|e| e.rows.get(i)) {
+            out += " |";
+            for Column { width, digits, of, .. } in &shown {
+                out += &format!(" {:>width$}", number(of(r), *digits));
             }
         }
     }
     out += "\nmse and noise x 10^3; mse of linear RGB clamped to [0, 1]";
     out
 }
+
+/// Errors are printed times a thousand.
+const MILLI: f64 = 1e3;
+
+/// A column of the text table.
+struct Column {
+    name: &'static str,
+    width: usize,
+    digits: usize,
+    /// Shown even where no row has a value.
+    always: bool,
+    of: fn(&Row) -> Option<f64>,
+}
+
+const COLUMNS: [Column; 5] = [
+    Column { name: "mse", width: 9, digits: 4, always: true, of: |r| Some(r.errors.mse * MILLI) },
+    Column { name: "psnr", width: 7, digits: 2, always: true, of: |r| r.psnr },
+    Column { name: "ssim", width: 6, digits: 3, always: true, of: |r| r.ssim },
+    Column { name: "flip", width: 6, digits: 3, always: true, of: |r| r.flip },
+    Column { name: "flicker", width: 7, digits: 3, always: false, of: |r| r.flicker },
+];

@@ -76,6 +76,8 @@ pub struct TableRow {
     pub psnr: Option<f64>,
     /// Structural similarity.
     pub ssim: Option<f64>,
+    /// FLIP, what is seen when answer and reference alternate: 0 to 1.
+    pub flip: Option<f64>,
     /// `mse` that the reference's own noise amounts to: no model can be seen to be better than that.
     pub noise: Option<f64>,
 }

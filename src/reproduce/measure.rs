@@ -4,7 +4,7 @@ use super::job::Job;
 use super::study::Study;
 use crate::dataset::{Dataset, SplitName};
 use crate::error::Result;
-use crate::evaluate::{Row, split_table, view_table};
+use crate::evaluate::{Row, motion_table, split_table, view_table};
 use crate::query::Reflectance;
 use crate::results::Cell;
 use neumip_export::Precision;
@@ -24,7 +24,8 @@ pub struct Data<'a> {
     pub held_out: &'a Dataset,
 }
 
-/// The rows of an answerer: some of the training data, all held-out splits that the data has, the views.
+/// The rows of an answerer: some of the training data, all held-out splits that the data has, the views, the
+/// sequences.
 ///
 /// # Errors
 /// As [`split_table`].
@@ -34,6 +35,7 @@ pub fn rows(answerer: &dyn Reflectance, study: &Study, data: Data) -> Result<Vec
         rows.extend(split_table(answerer, data.held_out, split, u64::MAX)?);
     }
     rows.extend(view_table(answerer, data.held_out)?);
+    rows.extend(motion_table(answerer, data.held_out)?);
     Ok(rows)
 }
 

@@ -1,6 +1,6 @@
 //! What a study fixes, and which of its questions a call asks.
 
-use crate::dataset::{GenerateConfig, Regime};
+use crate::dataset::{GenerateConfig, Motion, Regime};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -33,6 +33,8 @@ pub struct Study {
     pub test_pairs: usize,
     /// Pixels along a side of a view.
     pub view_size: usize,
+    /// Frames of each sequence of views, a degree apart.
+    pub motion: usize,
     /// Weight of the gradient term in the ablation.
     pub gradient_weight: f64,
     /// Seed of the data.
@@ -133,9 +135,10 @@ impl Study {
         config.seed = self.data_seed;
         config.test_pairs = self.test_pairs;
         config.view_size = self.view_size;
+        config.motion = (self.motion > 0).then_some(Motion { frames: self.motion, step: 1.0 });
         if directions == Directions::Slices {
             config.regime = Regime::Slices(0);
-            (config.test_pairs, config.view_size) = (0, 0);
+            (config.test_pairs, config.view_size, config.motion) = (0, 0, None);
             (config.offgrid_samples, config.grazing_samples) = (0, 0);
         }
         config
@@ -171,6 +174,7 @@ pub(super) mod tests {
             held_out_spp: 2,
             test_pairs: 2,
             view_size: 16,
+            motion: 2,
             gradient_weight: 0.03,
             data_seed: 1,
         }
