@@ -7,7 +7,7 @@ use std::process::Command;
 
 /// What each module of `src/` may import besides itself and [`ANYWHERE`]. `export` is the exporter's crate but for its
 /// `config`, which is our `config`'s own ground. A module that is missing here fails.
-const FLOW: [(&str, &[&str]); 23] = [
+const FLOW: [(&str, &[&str]); 24] = [
     ("error", &["export"]),
     ("config", &[]),
     ("query", &["error"]),
@@ -48,6 +48,7 @@ const FLOW: [(&str, &[&str]); 23] = [
     ("onnx_material", &["query"]),
     ("golden", &["model", "query", "random", "export"]),
     ("results", &["export"]),
+    ("chart", &["results"]),
     ("report", &["query", "metrics", "srgb"]),
     ("reproduce", &["config", "query", "random", "dataset", "evaluate", "results", "report", "export"]),
     ("cli", EVERYTHING),
@@ -70,6 +71,9 @@ const EVERYTHING: &[&str] = &[
     "onnx_material",
     "golden",
     "report",
+    "results",
+    "reproduce",
+    "chart",
     "export",
 ];
 /// What every module may import but those of [`BARE`].

@@ -20,5 +20,6 @@ mod model;
 mod onnx;
 mod python_environment;
 mod reference;
+mod reproducing;
 mod surfaces;
 mod training;

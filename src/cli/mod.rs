@@ -1,6 +1,7 @@
 //! The command line: one verb a file. Only this module prints.
 
 mod bench;
+mod chart;
 mod console;
 mod demo;
 mod evaluate;
@@ -47,6 +48,8 @@ enum Command {
     Export(export::Export),
     /// Ask the paper's questions again: tables, ablation, Inception decoder, speed against accuracy.
     Reproduce(reproduce::Reproduce),
+    /// Chart error against time and bytes over all results found.
+    Chart(chart::Chart),
     /// How fast this machine trains and answers.
     Bench(bench::Bench),
     /// Say what a checkpoint, run, dataset or bundle is.
@@ -69,6 +72,7 @@ impl Cli {
             Command::Evaluate(command) => command.run(&console),
             Command::Export(command) => command.run(&console),
             Command::Reproduce(command) => command.run(&console),
+            Command::Chart(command) => command.run(&console),
             Command::Bench(command) => command.run(&console),
             Command::Info(command) => command.run(&console),
         }

@@ -352,7 +352,13 @@ impl<'a> View<'a> {
 /// The trials.
 fn trials(results: &Results) -> Table {
     let head = ["preset", "regime", "trial", "settings", "validation mse x 10^3", ""].map(String::from);
-    let mut rows: BTreeMap<(String, String, usize), (Vec<String>, String, bool)> = BTreeMap::new();
+    #[derive(Default)]
+    struct Tried {
+        values: Vec<String>,
+        set: String,
+        chosen: bool,
+    }
+    let mut rows: BTreeMap<(String, String, usize), Tried> = BTreeMap::new();
     for trial in &results.trials {
         let entry =
             rows.entry((trial.preset.clone(), trial.regime.clone(), trial.index)).or_insert_with(|| {

@@ -5,7 +5,7 @@
 
 mod cell;
 
-pub use cell::{Cell, Metrics, Trial};
+pub use cell::{Cell, Metrics, RunKey, Trial};
 
 use crate::error::{Error, Result};
 use neumip_export::whole_file::write_whole;
@@ -95,7 +95,7 @@ impl Results {
                 None => self.trials.push(trial),
             }
         }
-        self.trials.sort_by(|a, b| a.key().cmp(&b.key()));
+        self.trials.sort_by_key(Trial::key);
         let cells = std::mem::take(&mut self.cells).into_iter().chain(other.cells);
         let all: BTreeMap<_, Cell> = cells.map(|cell| (cell.key(), cell)).collect();
         self.cells = all.into_values().collect();
