@@ -249,7 +249,20 @@ pub fn costs(
     queries: usize,
     rounds: usize,
 ) -> Result<Vec<Cost>> {
-    let queries = random_queries(queries, levels, 1);
+    interleaved(answerers, &random_queries(queries, levels, 1), rounds)
+}
+
+/// Times an answerer that takes whole slices only, on the finest one, on one thread.
+///
+/// # Errors
+/// What the answerer reports.
+pub fn slice_cost(answerer: &dyn Reflectance, side: usize, rounds: usize) -> Result<Cost> {
+    let mut random = Random::new(1, Stream::Probe, 0);
+    let slice = QueryBuffer::slice(side, side, random.disc(TIMED_DISC), random.disc(TIMED_DISC), 0.0);
+    Ok(interleaved(&[answerer], &slice, rounds)?.remove(0))
+}
+
+fn interleaved(answerers: &[&dyn Reflectance], queries: &QueryBuffer, rounds: usize) -> Result<Vec<Cost>> {
     let pool = ThreadPoolBuilder::new()
         .num_threads(1)
         .build()
@@ -259,26 +272,19 @@ pub fn costs(
     for round in 0..=rounds {
         for (answerer, times) in answerers.iter().zip(&mut times) {
             let start = Instant::now();
-            pool.install(|| answerer.evaluate(&queries))?;
+            pool.install(|| answerer.evaluate(queries))?;
             if round > 0 {
                 times.push(start.elapsed().as_secs_f64() * 1e9 / queries.len() as f64);
             }
         }
     }
-    Ok(times
-        .into_iter()
-        .map(|mut t| {
-            t.sort_by(f64::total_cmp);
-            let at = |i: usize| t.get(i).copied().unwrap_or(f64::NAN);
-            Cost {
-                ns_per_query: at(t.len() / 2),
-                ns_low: at(0),
-                ns_high: at(t.len().saturating_sub(1)),
-                rounds,
-                queries: queries.len(),
-            }
-        })
-        .collect())
+    let cost = |mut t: Vec<f64>| {
+        t.sort_by(f64::total_cmp);
+        let at = |i: usize| t.get(i).copied().unwrap_or(f64::NAN);
+        let (ns_low, ns_high) = (at(0), at(t.len().saturating_sub(1)));
+        Cost { ns_per_query: at(t.len() / 2), ns_low, ns_high, rounds, queries: queries.len() }
+    };
+    Ok(times.into_iter().map(cost).collect())
 }
 
 /// Queries at random positions under random directions, levels uniform in \[0, `levels` - 1\].
