@@ -18,7 +18,7 @@
 //!   │
 //! inference ─ a checkpoint that answers, by either engine
 //!   │
-//! metrics, evaluate, bench ─ errors by split and level, time per query, rates beside the machine's peak
+//! metrics, lpips (candle), evaluate, bench ─ errors by split and level, time per query, rates beside the machine's peak
 //!   │
 //! report, cli, neumip-export ─ pages, commands, ONNX and textures for other renderers
 //! ```
@@ -35,6 +35,7 @@ pub mod golden;
 pub mod inference;
 pub mod kernels;
 pub mod loss;
+pub mod lpips;
 pub mod metrics;
 pub mod model;
 pub mod onnx_material;
