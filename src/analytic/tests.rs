@@ -10,9 +10,9 @@ use crate::reference::{
 const HALF_ROUNDING: f32 = 4e-3;
 /// Mixing in another order rounds otherwise: a few units in the seventh digit of answers up to about 10.
 const ORDER: f32 = 2e-5;
-/// Mean squared error of relief at level 0: light through one ray instead of 64, along borders of shadows. A fifth more
-/// height, or no shadows, gives at least twice as much.
-const RELIEF: f64 = 3e-4;
+/// Mean squared error of relief at level 0, where a ray stands for the 64 of the reference: three times what it is. A fifth
+/// more height, no shadows or too few steps give ten times as much and more.
+const RELIEF: f64 = 1e-5;
 /// Bounced light over random directions, as a share of the reference's: 32 paths a texel.
 const BOUNCED_SHARE: f64 = 0.1;
 
@@ -89,7 +89,6 @@ fn a_plate_reflects_as_its_brdf_at_every_level() {
                 }
             }
         }
-        eprintln!("PLATE {worst}");
         worst
     };
     for metalness in [0.0, 0.3, 1.0] {
@@ -116,7 +115,6 @@ fn a_raised_plate_is_seen_where_parallax_moves_it() {
     };
     let got = answer(&maps, [0.3, 0.4], [0.0, 0.0], wo, 0.0)[0];
     // The box of a texel reads a ramp as a point does.
-    eprintln!("PAR {got} {} {}", seen(height), seen(0.9 * height));
     assert!((got - seen(height)).abs() < HALF_ROUNDING * got, "{got} {}", seen(height));
     assert!((got - seen(-height)).abs() > HALF_ROUNDING * got);
     assert!((got - seen(0.9 * height)).abs() > HALF_ROUNDING * got);
@@ -149,15 +147,10 @@ fn relief_is_near_the_reference() {
         let maps = AnalyticMaps::new(&waves(3.0 * scale), [64; 2], &config(view, shadow)).unwrap();
         mse(&maps.evaluate(&queries).unwrap().pixels, &target)
     };
-    eprintln!(
-        "REL {:?}",
-        [(1.0, 16, 16), (1.1, 16, 16), (1.2, 16, 16), (1.0, 16, 0), (1.0, 2, 16), (1.0, 3, 16)]
-            .map(|(a, b, c)| error(a, b, c))
-    );
     assert!(error(1.0, 16, 16) < RELIEF, "{}", error(1.0, 16, 16));
-    assert!(error(1.2, 16, 16) > 2.0 * RELIEF, "{}", error(1.2, 16, 16));
-    assert!(error(1.0, 16, 0) > 2.0 * RELIEF, "{}", error(1.0, 16, 0));
-    assert!(error(1.0, 2, 16) > 2.0 * RELIEF, "{}", error(1.0, 2, 16));
+    assert!(error(1.2, 16, 16) > 10.0 * RELIEF, "{}", error(1.2, 16, 16));
+    assert!(error(1.0, 16, 0) > 10.0 * RELIEF, "{}", error(1.0, 16, 0));
+    assert!(error(1.0, 2, 16) > 10.0 * RELIEF, "{}", error(1.0, 2, 16));
 }
 
 #[test]
@@ -191,11 +184,6 @@ fn slopes_that_are_averaged_away_widen_the_lobe() {
         let maps = AnalyticMaps::new(&ripples(scale), [64; 2], &config(8, 8)).unwrap();
         mean(&maps.evaluate(&queries).unwrap().pixels)
     };
-    for l in [64.0_f32, 32.0, 16.0, 8.0, 4.0, 2.0, 1.0] {
-        let q = AnalyticMaps::new(&ripples(1.0), [l.max(2.0) as usize; 2], &config(8, 8)).unwrap();
-        eprintln!("SPR {l} {:?}", q.maps.first());
-    }
-    eprintln!("RIP {} {} {}", maps(1.0), maps(0.0), mean(&measured(&ripples(1.0), 64, 0, &queries)));
     let target = mean(&measured(&ripples(1.0), 64, 0, &queries));
     // A Gaussian stands for a sine's slopes, and the flat plate reflects three times as much.
     assert!((maps(1.0) / target - 1.0).abs() < 0.3, "{} {target}", maps(1.0));
