@@ -4,7 +4,7 @@ use crate::dataset::{Dataset, SplitName};
 use crate::error::Result;
 use crate::metrics::ssim::ssim;
 use crate::metrics::{ErrorSum, Errors};
-use crate::query::{QueryBuffer, Reflectance};
+use crate::query::{QueryBuffer, Reflectance, Support};
 use crate::random::{Random, Stream};
 use rayon::ThreadPoolBuilder;
 use serde::Serialize;
@@ -59,13 +59,36 @@ impl Bucket {
     }
 }
 
-/// Errors on the given splits: a row a level and one for the whole split.
+/// Why an answerer cannot be asked the queries of a split, in a line; nothing if it can.
+///
+/// # Errors
+/// `File` for data that cannot be read.
+pub fn refusal(answerer: &dyn Reflectance, data: &Dataset, name: SplitName) -> Result<Option<String>> {
+    if answerer.support() == Support::Pointwise {
+        return Ok(None);
+    }
+    let split = data.split(name)?;
+    for file in 0..split.files() {
+        for layout in split.layouts(file)? {
+            if let Err(error) = answerer.support().check(&layout.queries(data.resolution())) {
+                return Ok(Some(format!("{name} is left out: {error}")));
+            }
+        }
+    }
+    Ok(None)
+}
+
+/// Errors on the given splits: a row a level and one for the whole split. Splits that the answerer cannot be asked
+/// ([`refusal`]) have no rows.
 ///
 /// # Errors
 /// `File` for data that cannot be read, or what the answerer reports.
 pub fn error_table(answerer: &dyn Reflectance, data: &Dataset, splits: &[SplitName]) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for &name in splits {
+        if refusal(answerer, data, name)?.is_some() {
+            continue;
+        }
         let split = data.split(name)?;
         let mut levels: BTreeMap<usize, Bucket> = BTreeMap::new();
         let mut all = Bucket::default();
@@ -91,12 +114,15 @@ pub fn error_table(answerer: &dyn Reflectance, data: &Dataset, splits: &[SplitNa
     Ok(rows)
 }
 
-/// Errors on the perspective views: a row each.
+/// Errors on the perspective views: a row each. An answerer that reads neighbours has none, since a view is no regular grid.
 ///
 /// # Errors
 /// As [`error_table`].
 pub fn view_table(answerer: &dyn Reflectance, data: &Dataset) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
+    if answerer.support() != Support::Pointwise {
+        return Ok(rows);
+    }
     for view in &data.manifest().views {
         let (queries, reference) = data.read_view(&view.name)?;
         let answer = answerer.evaluate(&queries)?;
@@ -135,7 +161,8 @@ pub struct Cost {
     pub queries: usize,
 }
 
-/// Times several answerers in interleaved rounds on one thread: random positions and directions, levels 0 to `levels` - 1.
+/// Times several answerers in interleaved rounds on one thread: random positions and directions, levels 0 to `levels` - 1,
+/// or as many whole tiles of level 0 as hold so many queries for an answerer that reads neighbours.
 ///
 /// # Errors
 /// What an answerer reports.
@@ -145,7 +172,13 @@ pub fn costs(
     queries: usize,
     rounds: usize,
 ) -> Result<Vec<Cost>> {
-    let queries = random_queries(queries, levels, 1);
+    let random = random_queries(queries, levels, 1);
+    let asked = |answerer: &&dyn Reflectance| match answerer.support() {
+        Support::Pointwise => None,
+        Support::Neighbourhood { resolution, .. } => Some(tiles(queries, resolution, 1)),
+    };
+    let asked: Vec<Option<QueryBuffer>> = answerers.iter().map(asked).collect();
+    let asked: Vec<&QueryBuffer> = asked.iter().map(|own| own.as_ref().unwrap_or(&random)).collect();
     let pool = ThreadPoolBuilder::new()
         .num_threads(1)
         .build()
@@ -153,9 +186,9 @@ pub fn costs(
     let mut times = vec![Vec::new(); answerers.len()];
     // One round more than is counted: the first warms caches and allocators.
     for round in 0..=rounds {
-        for (answerer, times) in answerers.iter().zip(&mut times) {
+        for ((answerer, queries), times) in answerers.iter().zip(&asked).zip(&mut times) {
             let start = Instant::now();
-            pool.install(|| answerer.evaluate(&queries))?;
+            pool.install(|| answerer.evaluate(queries))?;
             if round > 0 {
                 times.push(start.elapsed().as_secs_f64() * 1e9 / queries.len() as f64);
             }
@@ -163,7 +196,8 @@ pub fn costs(
     }
     Ok(times
         .into_iter()
-        .map(|mut t| {
+        .zip(asked)
+        .map(|(mut t, queries)| {
             t.sort_by(f64::total_cmp);
             let at = |i: usize| t.get(i).copied().unwrap_or(f64::NAN);
             Cost {
@@ -175,6 +209,22 @@ pub fn costs(
             }
         })
         .collect())
+}
+
+/// Whole tiles of \[H, W\] texels at level 0, one below the other under random directions: `n` queries or a tile more.
+fn tiles(n: usize, resolution: [usize; 2], seed: u64) -> QueryBuffer {
+    let [height, width] = resolution;
+    let count = n.div_ceil(height * width).max(1);
+    let tile = QueryBuffer::slice(height, width, [0.0; 2], [0.0; 2], 0.0);
+    let mut queries = QueryBuffer::slice(count * height, width, [0.0; 2], [0.0; 2], 0.0);
+    for k in 0..count {
+        let mut random = Random::new(seed, Stream::Probe, k as u64);
+        let of_tile = k * tile.len()..(k + 1) * tile.len();
+        queries.u[of_tile.clone()].copy_from_slice(&tile.u);
+        queries.wi[of_tile.clone()].fill(random.disc(TIMED_DISC));
+        queries.wo[of_tile].fill(random.disc(TIMED_DISC));
+    }
+    queries
 }
 
 /// Queries at random positions under random directions, levels uniform in \[0, `levels` - 1\].

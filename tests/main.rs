@@ -14,6 +14,7 @@ mod engine;
 mod engines;
 mod generating;
 mod house;
+mod inception;
 mod mitsuba;
 mod model;
 mod onnx;

@@ -5,10 +5,10 @@ use crate::checkpoint;
 use crate::config::EngineKind;
 use crate::dataset::{Dataset, SplitName};
 use crate::error::{Error, Result};
-use crate::evaluate::{Cost, Row, TIMED_QUERIES, costs, error_table};
+use crate::evaluate::{Cost, Row, TIMED_QUERIES, costs, error_table, refusal, view_table};
 use crate::inference::{Answerer, answerer};
 use crate::model;
-use crate::query::Reflectance;
+use crate::query::{Reflectance, Support};
 use clap::Args;
 use neumip_export::Precision;
 use serde::Serialize;
@@ -148,10 +148,16 @@ pub fn evaluate(
         let mut rows = Vec::new();
         for (done, split) in splits.iter().enumerate() {
             meter.update(done as u64, split.as_str());
-            rows.extend(error_table(&*material, data, std::slice::from_ref(split))?);
+            match refusal(&*material, data, *split)? {
+                Some(why) => console.say(format!("{}: {why}", run.display())),
+                None => rows.extend(error_table(&*material, data, std::slice::from_ref(split))?),
+            }
             console.check("no table was written")?;
         }
-        rows.extend(crate::evaluate::view_table(&*material, data)?);
+        rows.extend(view_table(&*material, data)?);
+        if material.support() != Support::Pointwise && !data.manifest().views.is_empty() {
+            console.say(format!("{}: views are left out: they are no regular grids", run.display()));
+        }
         meter.finish(splits.len() as u64);
         let samples = checkpoint.header.provenance.get("samples").and_then(serde_json::Value::as_f64);
         let texels = (architecture.resolution[0] * architecture.resolution[1]) as f64;
@@ -206,24 +212,28 @@ pub fn text_table(evaluations: &[Evaluation]) -> String {
     for k in 1..=evaluations.len() {
         out += &format!(" | {:>9} {:>7} {:>6}", format!("mse[{k}]"), "psnr", "ssim");
     }
-    let Some(first) = evaluations.first() else {
-        return out;
-    };
+    // A decoder that reads neighbours has no rows for what is no regular grid.
+    let mut lines: Vec<&Row> = Vec::new();
+    let same = |a: &Row, b: &Row| a.split == b.split && a.level == b.level;
+    for row in evaluations.iter().flat_map(|e| &e.rows) {
+        if !lines.iter().any(|line| same(line, row)) {
+            lines.push(row);
+        }
+    }
     let number = |v: Option<f64>, scale: f64, digits: usize| {
         v.map_or("-".to_string(), |v| format!("{:.digits$}", v * scale))
     };
-    for (i, row) in first.rows.iter().enumerate() {
+    for row in lines {
         let level = row.level.map_or("all".into(), |l| l.to_string());
         out += &format!("\n{:<12} {level:>5} {:>9}", row.split, number(row.noise, 1e3, 4));
         for e in evaluations {
-            if let Some(r) = e.rows.get(i) {
-                out += &format!(
-                    " | {:>9.4} {:>7} {:>6}",
-                    r.errors.mse * 1e3,
-                    number(r.psnr, 1.0, 2),
-                    number(r.ssim, 1.0, 3)
-                );
-            }
+            let r = e.rows.iter().find(|r| same(r, row));
+            out += &format!(
+                " | {:>9} {:>7} {:>6}",
+                number(r.map(|r| r.errors.mse), 1e3, 4),
+                number(r.and_then(|r| r.psnr), 1.0, 2),
+                number(r.and_then(|r| r.ssim), 1.0, 3)
+            );
         }
     }
     out += "\nmse and noise x 10^3; mse of linear RGB clamped to [0, 1]";

@@ -64,7 +64,7 @@ pub struct GenerateConfig {
 /// A scattered split has at least so many blocks: a share of 5 % then has its block at every level.
 pub(crate) const MIN_BLOCKS: usize = 40;
 /// Most pairs of slices.
-const MAX_PAIRS: usize = 1 << 20;
+pub(crate) const MAX_PAIRS: usize = 1 << 20;
 /// Most lights of views.
 const MAX_LIGHTS: usize = 64;
 /// Names of files have five digits.

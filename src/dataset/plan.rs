@@ -2,12 +2,12 @@
 
 use super::{
     block::{Layout, Patch},
-    config::{GenerateConfig, MAX_FILES, MIN_BLOCKS},
+    config::{GenerateConfig, MAX_FILES, MAX_PAIRS, MIN_BLOCKS},
     cycle::Cycle,
     directions::{DISC, Hemisphere, Sequence},
     format::SplitName,
     regime::Regime,
-    slices::Slices,
+    slices::{self, Slices},
 };
 use crate::{
     error::{Error, Result},
@@ -17,6 +17,8 @@ use std::ops::Range;
 
 /// sin^2 of 62 degrees: beyond it a direction grazes.
 const GRAZING: f32 = 0.779_596_4;
+/// Pairs of directions that validation slices have at least: of fewer, one decides.
+const LEAST_VALIDATION_PAIRS: usize = 8;
 
 /// One split: how many blocks, and what is in them.
 pub(crate) struct Plan {
@@ -59,7 +61,17 @@ pub(crate) fn plans(config: &GenerateConfig, earlier: &[u64]) -> Result<Vec<Plan
     let held_out = |samples: u64| [samples].into_iter().filter(|n| *n > 0);
     let mut all = Vec::new();
     for samples in held_out(config.validation_samples) {
-        all.push(Plan::scattered(config, SplitName::Validation, &[samples], config.fractional_share, spread));
+        all.push(match config.regime {
+            Regime::Scattered => {
+                Plan::scattered(config, SplitName::Validation, &[samples], config.fractional_share, spread)
+            }
+            // As the training data is: a decoder that reads whole images is validated on such.
+            Regime::Slices(_) => {
+                let pairs = slices::pairs_for(config, samples, MAX_PAIRS).max(LEAST_VALIDATION_PAIRS);
+                let parts = vec![Slices::in_order(config.levels(), pairs)];
+                Plan::slices(config, SplitName::Validation, parts, spread)
+            }
+        });
     }
     if config.test_pairs > 0 {
         let parts = vec![Slices::in_order(config.levels(), config.test_pairs)];

@@ -71,6 +71,9 @@ impl FusedMaterial {
         precision: Precision,
         isa: Isa,
     ) -> Result<Self> {
+        if architecture.neighbourhood().is_some() {
+            return Err(Error::config("decoder.kind", "inception is not fused yet; use the candle engine"));
+        }
         for (name, shape) in architecture.tensors() {
             match tensors.get(&name) {
                 Some(t) if t.shape == shape && t.data.len() == shape.iter().product::<usize>() => {}

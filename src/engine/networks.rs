@@ -68,7 +68,7 @@ impl Networks {
             Some(widths) => layers(plan.isa, OFFSET_MLP, widths.len() - 1, None, values)?,
             None => Vec::new(),
         };
-        let count = architecture.decoder_widths().len() - 1;
+        let count = architecture.decoder_widths().map_or(0, |widths| widths.len() - 1);
         let decoder = layers(plan.isa, DECODER_MLP, count, Some(plan.columns()), values)?;
         Ok(Self { offset, decoder, first: None, offset_back: Vec::new(), decoder_back: Vec::new() })
     }

@@ -97,8 +97,7 @@ impl Engine for FusedEngine {
             _ => None,
         };
         let textures = Textures::new(self.batch.plan(), levels, offset);
-        let means =
-            Means::of(step.pieces.first().map_or(1, |p| p.side()), step.pieces.iter().map(|p| p.patch()));
+        let means = step.means(&self.batch.plan().architecture);
         let loss = Loss {
             terms: &scaled(step.terms, means),
             range: step.target_range,
