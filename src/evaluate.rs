@@ -2,11 +2,15 @@
 
 use crate::dataset::{Dataset, SplitName};
 use crate::error::Result;
+use crate::metrics::flicker::Flicker;
+use crate::metrics::flip::flip;
 use crate::metrics::ssim::ssim;
 use crate::metrics::{ErrorSum, Errors};
 use crate::query::{QueryBuffer, Reflectance, Support};
 use crate::random::{Random, Stream};
+use crate::results::Metrics;
 use rayon::ThreadPoolBuilder;
+use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -19,7 +23,7 @@ const TIMED_DISC: f32 = 0.99;
 /// One line of the error table.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
-    /// Split, `views/NAME` for a view.
+    /// Split, `views/NAME` for a view, `motion/NAME` for a sequence.
     pub split: String,
     /// The level, rounded down; none for all of the split.
     pub level: Option<usize>,
@@ -32,29 +36,96 @@ pub struct Row {
     pub psnr: Option<f64>,
     /// Mean over images of at least 8 x 8.
     pub ssim: Option<f64>,
+    /// Mean over the same images.
+    pub flip: Option<f64>,
+    /// Of a sequence.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub flicker: Option<f64>,
+    /// Of a sequence, the most `flicker` that the reference's noise is expected to make of a perfect answer.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub flicker_noise: Option<f64>,
     /// Variance of the reference itself: a perfect answer's `mse_linear`.
     pub noise: Option<f64>,
+}
+
+impl Row {
+    /// Its errors as results name them.
+    pub fn metrics(&self) -> Metrics {
+        Metrics {
+            mse: Some(self.errors.mse),
+            mse_linear: Some(self.errors.mse_linear),
+            mse_log1p: Some(self.errors.mse_log1p),
+            psnr: self.psnr,
+            ssim: self.ssim,
+            flip: self.flip,
+            flicker: self.flicker,
+            ..Metrics::default()
+        }
+    }
+}
+
+/// A mean of what there is.
+#[derive(Clone, Copy, Default)]
+struct Mean {
+    sum: f64,
+    values: u64,
+}
+
+impl Mean {
+    fn add(&mut self, value: Option<f64>) {
+        self.sum += value.unwrap_or(0.0);
+        self.values += u64::from(value.is_some());
+    }
+
+    fn value(self) -> Option<f64> {
+        (self.values > 0).then(|| self.sum / self.values as f64)
+    }
+}
+
+/// What is said of one image as a whole.
+#[derive(Clone, Copy, Debug)]
+struct Likeness {
+    ssim: Option<f64>,
+    flip: Option<f64>,
+}
+
+impl Likeness {
+    fn new(height: usize, width: usize, answer: &[[f32; 3]], reference: &[[f32; 3]]) -> Self {
+        Self { ssim: ssim(height, width, answer, reference), flip: flip(height, width, answer, reference) }
+    }
 }
 
 #[derive(Default)]
 struct Bucket {
     sum: ErrorSum,
-    ssim: (f64, u64),
-    noise: (f64, u64),
+    ssim: Mean,
+    flip: Mean,
+    noise: Mean,
 }
 
 impl Bucket {
+    fn add(&mut self, answer: &[[f32; 3]], reference: &[[f32; 3]], noise: f32, images: &[Likeness]) {
+        self.sum.add(answer, reference);
+        self.noise.add(Some(f64::from(noise)));
+        for image in images {
+            self.ssim.add(image.ssim);
+            self.flip.add(image.flip);
+        }
+    }
+
     fn row(&self, split: &str, level: Option<usize>) -> Row {
         let errors = self.sum.errors();
-        let mean = |(sum, n): (f64, u64)| (n > 0).then(|| sum / n as f64);
         Row {
             split: split.into(),
             level,
             queries: self.sum.pixels(),
             errors,
             psnr: errors.psnr(),
-            ssim: mean(self.ssim),
-            noise: mean(self.noise),
+            ssim: self.ssim.value(),
+            flip: self.flip.value(),
+            flicker: None,
+            flicker_noise: None,
+            noise: self.noise.value(),
         }
     }
 }
@@ -86,31 +157,44 @@ pub fn refusal(answerer: &dyn Reflectance, data: &Dataset, name: SplitName) -> R
 pub fn error_table(answerer: &dyn Reflectance, data: &Dataset, splits: &[SplitName]) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for &name in splits {
-        if refusal(answerer, data, name)?.is_some() {
-            continue;
+        rows.extend(split_table(answerer, data, name, u64::MAX)?);
+    }
+    Ok(rows)
+}
+
+/// Errors on the first `most` samples of a split (rounded up to whole files): a row a level and one for all.
+///
+/// # Errors
+/// As [`error_table`].
+pub fn split_table(
+    answerer: &dyn Reflectance,
+    data: &Dataset,
+    name: SplitName,
+    most: u64,
+) -> Result<Vec<Row>> {
+    if refusal(answerer, data, name)?.is_some() {
+        return Ok(Vec::new());
+    }
+    let split = data.split(name)?;
+    let mut levels: BTreeMap<usize, Bucket> = BTreeMap::new();
+    let mut all = Bucket::default();
+    for file in 0..split.files() {
+        if all.sum.pixels() >= most {
+            break;
         }
-        let split = data.split(name)?;
-        let mut levels: BTreeMap<usize, Bucket> = BTreeMap::new();
-        let mut all = Bucket::default();
-        for file in 0..split.files() {
-            for block in split.read_file(file)? {
-                let answer = answerer.evaluate(&block.queries(data.resolution()))?.pixels;
-                let target = block.target();
-                let level = levels.entry(block.level().floor() as usize).or_default();
-                for bucket in [level, &mut all] {
-                    bucket.sum.add(&answer, &target);
-                    bucket.noise.0 += f64::from(block.noise());
-                    bucket.noise.1 += 1;
-                    for image in images(block.side(), block.patch(), &answer, &target) {
-                        bucket.ssim.0 += image;
-                        bucket.ssim.1 += 1;
-                    }
-                }
+        for block in split.read_file(file)? {
+            let answer = answerer.evaluate(&block.queries(data.resolution()))?.pixels;
+            let target = block.target();
+            let images = images(block.side(), block.patch(), &answer, &target);
+            let level = levels.entry(block.level().floor() as usize).or_default();
+            for bucket in [level, &mut all] {
+                bucket.add(&answer, &target, block.noise(), &images);
             }
         }
-        rows.extend(levels.iter().map(|(level, bucket)| bucket.row(name.as_str(), Some(*level))));
-        rows.push(all.row(name.as_str(), None));
     }
+    let mut rows: Vec<Row> =
+        levels.iter().map(|(level, bucket)| bucket.row(name.as_str(), Some(*level))).collect();
+    rows.push(all.row(name.as_str(), None));
     Ok(rows)
 }
 
@@ -126,24 +210,47 @@ pub fn view_table(answerer: &dyn Reflectance, data: &Dataset) -> Result<Vec<Row>
     for view in &data.manifest().views {
         let (queries, reference) = data.read_view(&view.name)?;
         let answer = answerer.evaluate(&queries)?;
-        let mut bucket = Bucket { noise: (f64::from(view.summary.variance), 1), ..Bucket::default() };
-        bucket.sum.add(&answer.pixels, &reference.pixels);
-        if let Some(value) = ssim(answer.height, answer.width, &answer.pixels, &reference.pixels) {
-            bucket.ssim = (value, 1);
-        }
+        let image = Likeness::new(answer.height, answer.width, &answer.pixels, &reference.pixels);
+        let mut bucket = Bucket::default();
+        bucket.add(&answer.pixels, &reference.pixels, view.summary.variance, &[image]);
         rows.push(bucket.row(&format!("views/{}", view.name), None));
     }
     Ok(rows)
 }
 
-/// Structural similarity of every patch of a block.
-fn images(side: usize, patch: usize, answer: &[[f32; 3]], target: &[[f32; 3]]) -> Vec<f64> {
+/// Errors on the sequences: a row each, over all of its frames.
+///
+/// # Errors
+/// As [`error_table`].
+pub fn motion_table(answerer: &dyn Reflectance, data: &Dataset) -> Result<Vec<Row>> {
+    let mut rows = Vec::new();
+    if answerer.support() != Support::Pointwise {
+        return Ok(rows);
+    }
+    for sequence in &data.manifest().motion {
+        let (mut bucket, mut flicker) = (Bucket::default(), Flicker::default());
+        for frame in &sequence.frames {
+            let (queries, reference) = data.read_view(&frame.name)?;
+            let (answer, variance) = (answerer.evaluate(&queries)?, frame.summary.variance);
+            let image = Likeness::new(answer.height, answer.width, &answer.pixels, &reference.pixels);
+            bucket.add(&answer.pixels, &reference.pixels, variance, &[image]);
+            flicker.add(&answer.pixels, &reference.pixels, f64::from(variance));
+        }
+        let row = bucket.row(&format!("motion/{}", sequence.name), None);
+        rows.push(Row { flicker: flicker.value(), flicker_noise: flicker.noise(), ..row });
+    }
+    Ok(rows)
+}
+
+/// What is said of every patch of a block.
+fn images(side: usize, patch: usize, answer: &[[f32; 3]], target: &[[f32; 3]]) -> Vec<Likeness> {
     let across = side / patch;
     let cut = |pixels: &[[f32; 3]], k: usize| -> Vec<[f32; 3]> {
         let (top, left) = (k / across * patch, k % across * patch);
         (0..patch * patch).map(|i| pixels[(top + i / patch) * side + left + i % patch]).collect()
     };
-    (0..across * across).filter_map(|k| ssim(patch, patch, &cut(answer, k), &cut(target, k))).collect()
+    let patches = (0..across * across).into_par_iter();
+    patches.map(|k| Likeness::new(patch, patch, &cut(answer, k), &cut(target, k))).collect()
 }
 
 /// Time per query of an answerer on one thread.
@@ -249,10 +356,23 @@ mod tests {
         let side = 16;
         let target: Vec<[f32; 3]> = (0..side * side).map(|k| [(k % 5) as f32 / 5.0; 3]).collect();
         let mut answer = target.clone();
-        assert_eq!(images(side, 8, &answer, &target).len(), 4);
-        assert_eq!(images(side, 4, &answer, &target).len(), 0);
+        assert!(
+            images(side, 4, &answer, &target).iter().all(|image| (image.ssim, image.flip) == (None, None))
+        );
         answer[0] = [1.0; 3];
-        let values = images(side, 8, &answer, &target);
-        assert!(values[0] < 1.0 && values[1..].iter().all(|v| (*v - 1.0).abs() < 1e-6));
+        let found = images(side, 8, &answer, &target);
+        assert_eq!(found.len(), 4);
+        assert!(found[0].ssim.unwrap() < 1.0 && found[0].flip.unwrap() > 0.0);
+        for image in &found[1..] {
+            assert!((image.ssim.unwrap() - 1.0).abs() < 1e-6 && image.flip == Some(0.0));
+        }
+    }
+
+    #[test]
+    fn a_mean_leaves_out_what_is_not_there() {
+        let mut mean = Mean::default();
+        assert_eq!(mean.value(), None);
+        [Some(1.0), None, Some(4.0)].into_iter().for_each(|value| mean.add(value));
+        assert_eq!(mean.value(), Some(2.5));
     }
 }

@@ -20,10 +20,13 @@
 //!   │
 //! metrics, evaluate, bench ─ errors by split and level, time per query, rates beside the machine's peak
 //!   │
+//! reproduce, results, chart ─ the paper's questions, what came of them, speed against accuracy
+//!   │
 //! report, cli, neumip-export ─ pages, commands, ONNX and textures for other renderers
 //! ```
 
 pub mod bench;
+pub mod chart;
 pub mod checkpoint;
 pub mod cli;
 pub mod config;
@@ -42,6 +45,7 @@ pub mod query;
 pub mod random;
 pub mod reference;
 pub mod report;
+pub mod reproduce;
 pub mod results;
 pub mod srgb;
 pub mod trainer;

@@ -18,6 +18,8 @@ pub enum Stream {
     LevelDropout,
     /// Queries that are drawn to check or to time something.
     Probe,
+    /// Settings of tuning trials.
+    Trials,
 }
 
 /// PCG-XSH-RR 64/32 (O'Neill 2014), started from a hash of (seed, stream, index).

@@ -4,6 +4,8 @@
 mod amounts;
 #[path = "dataset/files.rs"]
 mod files;
+#[path = "dataset/motion.rs"]
+mod motion;
 #[path = "dataset/shards.rs"]
 mod shards;
 

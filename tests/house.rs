@@ -7,7 +7,7 @@ use std::process::Command;
 
 /// What each module of `src/` may import besides itself and [`ANYWHERE`]. `export` is the exporter's crate but for its
 /// `config`, which is our `config`'s own ground. A module that is missing here fails.
-const FLOW: [(&str, &[&str]); 22] = [
+const FLOW: [(&str, &[&str]); 24] = [
     ("error", &["export"]),
     ("config", &[]),
     ("query", &["error"]),
@@ -43,11 +43,14 @@ const FLOW: [(&str, &[&str]); 22] = [
     ),
     ("inference", &["query", "kernels", "engine", "model", "export"]),
     ("bench", &["engine", "kernels", "model", "trainer", "dataset", "query", "random", "export"]),
-    ("evaluate", &["query", "metrics", "dataset", "random"]),
+    // Its rows leave as the metrics of results.
+    ("evaluate", &["query", "metrics", "dataset", "random", "results"]),
     ("onnx_material", &["query"]),
     ("golden", &["model", "query", "random", "export"]),
     ("results", &["export"]),
+    ("chart", &["results"]),
     ("report", &["query", "metrics", "srgb"]),
+    ("reproduce", &["config", "query", "random", "dataset", "evaluate", "results", "report", "export"]),
     ("cli", EVERYTHING),
 ];
 const EVERYTHING: &[&str] = &[
@@ -68,6 +71,9 @@ const EVERYTHING: &[&str] = &[
     "onnx_material",
     "golden",
     "report",
+    "results",
+    "reproduce",
+    "chart",
     "export",
 ];
 /// What every module may import but those of [`BARE`].

@@ -8,7 +8,8 @@ use std::process::{Command, Output};
 /// Names the interpreter that the environment is made with; absent: `python3`.
 const INTERPRETER: &str = "NEUMIP_PYTHON";
 /// What is installed: from the first releases that are known to work to before the next incompatible ones.
-const REQUIREMENTS: [&str; 3] = ["numpy>=1.26,<3", "onnx>=1.17,<2", "onnxruntime>=1.20,<2"];
+const REQUIREMENTS: [&str; 4] =
+    ["numpy>=1.26,<3", "onnx>=1.17,<2", "onnxruntime>=1.20,<2", "flip-evaluator>=1.7,<2"];
 
 /// An interpreter that has the requirements.
 #[derive(Debug)]

@@ -423,6 +423,7 @@ fn table_row(model: &Model, row: &Row) -> TableRow {
         mse_log1p: row.errors.mse_log1p,
         psnr: row.psnr,
         ssim: row.ssim,
+        flip: row.flip,
         noise: row.noise,
     }
 }

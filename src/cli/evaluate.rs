@@ -5,7 +5,7 @@ use crate::checkpoint;
 use crate::config::EngineKind;
 use crate::dataset::{Dataset, SplitName};
 use crate::error::{Error, Result};
-use crate::evaluate::{Cost, Row, TIMED_QUERIES, costs, error_table, refusal, view_table};
+use crate::evaluate::{Cost, Row, TIMED_QUERIES, costs, error_table, motion_table, refusal, view_table};
 use crate::inference::{Answerer, answerer};
 use crate::model;
 use crate::query::{Reflectance, Support};
@@ -155,8 +155,12 @@ pub fn evaluate(
             console.check("no table was written")?;
         }
         rows.extend(view_table(&*material, data)?);
+        rows.extend(motion_table(&*material, data)?);
         if material.support() != Support::Pointwise && !data.manifest().views.is_empty() {
-            console.say(format!("{}: views are left out: they are no regular grids", run.display()));
+            console.say(format!(
+                "{}: views and their sequences are left out: they are no regular grids",
+                run.display()
+            ));
         }
         meter.finish(splits.len() as u64);
         let samples = checkpoint.header.provenance.get("samples").and_then(serde_json::Value::as_f64);
@@ -208,9 +212,21 @@ pub fn text_table(evaluations: &[Evaluation]) -> String {
             e.bytes
         );
     }
-    out += &format!("\n{:<12} {:>5} {:>9}", "split", "level", "noise");
+    let shown: Vec<&Column> = COLUMNS
+        .iter()
+        .filter(|column| {
+            column.always || evaluations.iter().flat_map(|e| &e.rows).any(|r| (column.of)(r).is_some())
+        })
+        .collect();
+    let splits = evaluations.iter().flat_map(|e| &e.rows).map(|row| row.split.len());
+    let split_width = splits.max().unwrap_or(0).max(12);
+    out += &format!("\n{:<split_width$} {:>5} {:>9}", "split", "level", "noise");
     for k in 1..=evaluations.len() {
-        out += &format!(" | {:>9} {:>7} {:>6}", format!("mse[{k}]"), "psnr", "ssim");
+        out += " |";
+        for Column { name, width, .. } in &shown {
+            let name = if *name == "mse" { format!("mse[{k}]") } else { name.to_string() };
+            out += &format!(" {name:>width$}");
+        }
     }
     // A decoder that reads neighbours has no rows for what is no regular grid.
     let mut lines: Vec<&Row> = Vec::new();
@@ -220,22 +236,40 @@ pub fn text_table(evaluations: &[Evaluation]) -> String {
             lines.push(row);
         }
     }
-    let number = |v: Option<f64>, scale: f64, digits: usize| {
-        v.map_or("-".to_string(), |v| format!("{:.digits$}", v * scale))
-    };
+    let number = |v: Option<f64>, digits: usize| v.map_or("-".to_string(), |v| format!("{v:.digits$}"));
     for row in lines {
         let level = row.level.map_or("all".into(), |l| l.to_string());
-        out += &format!("\n{:<12} {level:>5} {:>9}", row.split, number(row.noise, 1e3, 4));
+        let noise = number(row.noise.map(|v| v * MILLI), 4);
+        out += &format!("\n{:<split_width$} {level:>5} {noise:>9}", row.split);
         for e in evaluations {
             let r = e.rows.iter().find(|r| same(r, row));
-            out += &format!(
-                " | {:>9} {:>7} {:>6}",
-                number(r.map(|r| r.errors.mse), 1e3, 4),
-                number(r.and_then(|r| r.psnr), 1.0, 2),
-                number(r.and_then(|r| r.ssim), 1.0, 3)
-            );
+            out += " |";
+            for Column { width, digits, of, .. } in &shown {
+                out += &format!(" {:>width$}", number(r.and_then(|r| of(r)), *digits));
+            }
         }
     }
     out += "\nmse and noise x 10^3; mse of linear RGB clamped to [0, 1]";
     out
 }
+
+/// Errors are printed times a thousand.
+const MILLI: f64 = 1e3;
+
+/// A column of the text table.
+struct Column {
+    name: &'static str,
+    width: usize,
+    digits: usize,
+    /// Shown even where no row has a value.
+    always: bool,
+    of: fn(&Row) -> Option<f64>,
+}
+
+const COLUMNS: [Column; 5] = [
+    Column { name: "mse", width: 9, digits: 4, always: true, of: |r| Some(r.errors.mse * MILLI) },
+    Column { name: "psnr", width: 7, digits: 2, always: true, of: |r| r.psnr },
+    Column { name: "ssim", width: 6, digits: 3, always: true, of: |r| r.ssim },
+    Column { name: "flip", width: 6, digits: 3, always: true, of: |r| r.flip },
+    Column { name: "flicker", width: 7, digits: 3, always: false, of: |r| r.flicker },
+];

@@ -3,7 +3,8 @@
 use super::console::{Console, Meter, short};
 use super::surface::{Surface, materials};
 use crate::dataset::{
-    Dataset, Existing, GenerateConfig, Manifest, Progress, Regime, Shard, SplitName, generate, generate_shard,
+    Dataset, Existing, GenerateConfig, Manifest, Motion, Progress, Regime, Shard, SplitName, generate,
+    generate_shard,
 };
 use crate::error::{Error, Result};
 use crate::reference::Reference;
@@ -63,6 +64,12 @@ pub struct Generate {
     /// A further light of the views, TILT,PAN in degrees; may be repeated.
     #[arg(long, value_parser = parse_light, allow_hyphen_values = true)]
     light: Vec<[f32; 2]>,
+    /// Frames of each of the sequences light-arc, camera-arc and zoom, of the views' size; 0 leaves them out.
+    #[arg(long, default_value_t = 0, value_name = "FRAMES")]
+    motion: usize,
+    /// Degrees from frame to frame.
+    #[arg(long, default_value_t = 1.0, value_name = "DEGREES", requires = "motion")]
+    motion_step: f32,
     /// Leave the height map out.
     #[arg(long)]
     without_heights: bool,
@@ -130,6 +137,7 @@ impl Generate {
         config.view_size = self.view_size.unwrap_or(config.view_size);
         config.view_tiles = self.view_tiles.unwrap_or(config.view_tiles);
         config.lights.extend(&self.light);
+        config.motion = (self.motion > 0).then_some(Motion { frames: self.motion, step: self.motion_step });
         config.seed = self.seed;
         config.heights = !self.without_heights;
         config

@@ -1,6 +1,7 @@
 //! The command line: one verb a file. Only this module prints.
 
 mod bench;
+mod chart;
 mod console;
 mod demo;
 mod evaluate;
@@ -8,6 +9,7 @@ mod export;
 mod generate;
 mod info;
 mod look;
+mod reproduce;
 mod surface;
 mod train;
 
@@ -44,6 +46,10 @@ enum Command {
     Evaluate(evaluate::Evaluate),
     /// Write what another renderer needs.
     Export(export::Export),
+    /// Ask the paper's questions again: tables, ablation, Inception decoder, speed against accuracy.
+    Reproduce(reproduce::Reproduce),
+    /// Chart error against time and bytes over all results found.
+    Chart(chart::Chart),
     /// How fast this machine trains and answers.
     Bench(bench::Bench),
     /// Say what a checkpoint, run, dataset or bundle is.
@@ -65,6 +71,8 @@ impl Cli {
             Command::Train(command) => command.run(&console),
             Command::Evaluate(command) => command.run(&console),
             Command::Export(command) => command.run(&console),
+            Command::Reproduce(command) => command.run(&console),
+            Command::Chart(command) => command.run(&console),
             Command::Bench(command) => command.run(&console),
             Command::Info(command) => command.run(&console),
         }

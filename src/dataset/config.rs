@@ -1,6 +1,6 @@
 //! What to generate.
 
-use super::{regime::Regime, scene::scenes, slices};
+use super::{motion::Motion, regime::Regime, scene::scenes, slices};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -36,6 +36,9 @@ pub struct GenerateConfig {
     /// Directions \[tilt, pan\] of the views' lights in degrees: from the normal, and from x towards y.
     #[serde(default = "neumip_lights")]
     pub lights: Vec<[f32; 2]>,
+    /// Sequences of views, of the views' size; absent: none. Their sub-samples are `held_out_spp`, whatever `noise` is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motion: Option<Motion>,
     /// Sub-samples of a training sample.
     pub spp: usize,
     /// Sub-samples of every other sample.
@@ -64,9 +67,9 @@ pub struct GenerateConfig {
 /// A scattered split has at least so many blocks: a share of 5 % then has its block at every level.
 pub(crate) const MIN_BLOCKS: usize = 40;
 /// Most pairs of slices.
-pub(crate) const MAX_PAIRS: usize = 1 << 20;
+const MAX_PAIRS: usize = 1 << 20;
 /// Most lights of views.
-const MAX_LIGHTS: usize = 64;
+pub(crate) const MAX_LIGHTS: usize = 64;
 /// Names of files have five digits.
 pub(crate) const MAX_FILES: usize = 100_000;
 
@@ -95,6 +98,7 @@ impl GenerateConfig {
             view_size: 256,
             view_tiles: 1,
             lights: neumip_lights(),
+            motion: None,
             block_side: resolution.min(32),
             file_samples: 1 << 20,
             spp: 16,
@@ -146,6 +150,10 @@ impl GenerateConfig {
         within("file_samples", self.file_samples, 1, 1 << 25)?;
         within("lights (number)", self.lights.len(), 0, MAX_LIGHTS)?;
         scenes(&self.lights)?;
+        if let Some(motion) = &self.motion {
+            motion.validate()?;
+            within("view_size (with motion)", self.view_size, 1, 8192)?;
+        }
         if let Some(noise) = self.noise {
             within("noise", noise, f32::MIN_POSITIVE, f32::MAX)?;
             within("most_spp", self.most_spp, self.spp.max(self.held_out_spp), 1 << 20)?;

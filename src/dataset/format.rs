@@ -2,7 +2,7 @@
 //!
 //! The folder: `dataset.json`; `height.exr` (one f32 channel Y, tile widths) where heights are stored; for
 //! file 0 of split train `train-00000.exr` (half R, G, B: `grid.rs`) and `train-00000.safetensors`
-//! (`table.rs`); views as `views-NAME.exr` (`query_frame.rs`); for people `contact-sheet.png`; and while shards are
+//! (`table.rs`); views, and the frames of sequences, as `views-NAME.exr` (`query_frame.rs`); for people `contact-sheet.png`; and while shards are
 //! being made, what each of them has (`shard.rs`).
 
 use super::{
@@ -10,6 +10,7 @@ use super::{
     config::{GenerateConfig, MAX_FILES},
     folder::read_json,
     frame::MAX_PIXELS,
+    motion::frame_name,
 };
 use crate::error::{Error, Result};
 use neumip_export::Measure;
@@ -27,7 +28,7 @@ pub const MANIFEST: &str = "dataset.json";
 pub enum SplitName {
     /// What is learned from.
     Train,
-    /// As scattered training data, held out.
+    /// As the training data, held out: scattered patches, or whole slices.
     Validation,
     /// Whole slices under held-out directions, from texel centre to texel centre.
     Test,
@@ -222,6 +223,33 @@ impl ViewInfo {
     }
 }
 
+/// One sequence of views in which something moves.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SequenceInfo {
+    /// What moves.
+    pub name: String,
+    /// The frames in order, of one size.
+    pub frames: Vec<ViewInfo>,
+}
+
+impl SequenceInfo {
+    fn validate(&self) -> Result<()> {
+        for (index, frame) in self.frames.iter().enumerate() {
+            frame.validate()?;
+            let field = || format!("motion.{}.frames[{index}]", self.name);
+            let expected = frame_name(&self.name, index);
+            if frame.name != expected {
+                return Err(Error::config(field(), format!("is named {}, not {expected}", frame.name)));
+            }
+            if [frame.height, frame.width] != [self.frames[0].height, self.frames[0].width] {
+                return Err(Error::config(field(), "is not of the size of the first"));
+            }
+        }
+        Ok(())
+    }
+}
+
 /// The height map in `height.exr`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -267,6 +295,9 @@ pub struct Manifest {
     pub splits: BTreeMap<SplitName, SplitInfo>,
     /// The views.
     pub views: Vec<ViewInfo>,
+    /// The sequences.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub motion: Vec<SequenceInfo>,
 }
 
 impl Manifest {
@@ -291,7 +322,13 @@ impl Manifest {
             heights: None,
             splits: BTreeMap::new(),
             views: Vec::new(),
+            motion: Vec::new(),
         }
+    }
+
+    /// The views and the frames of all sequences.
+    pub fn pictures(&self) -> impl Iterator<Item = &ViewInfo> {
+        self.views.iter().chain(self.motion.iter().flat_map(|sequence| &sequence.frames))
     }
 
     /// Reads and checks the description in a folder.
@@ -350,10 +387,8 @@ impl Manifest {
                 file.validate(*name, k, samples)?;
             }
         }
-        for view in &self.views {
-            view.validate()?;
-        }
-        Ok(())
+        self.views.iter().try_for_each(ViewInfo::validate)?;
+        self.motion.iter().try_for_each(SequenceInfo::validate)
     }
 }
 

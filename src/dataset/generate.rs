@@ -2,9 +2,10 @@
 
 use super::{
     block::{Block, Layout, stack},
-    config::GenerateConfig,
+    config::{GenerateConfig, MAX_LIGHTS},
     format::{Manifest, SplitName},
     measure::Task,
+    motion::{SEQUENCES, frame_name},
     origin::earlier_amounts,
     plan::{Plan, plans},
     progress::{Meter, Progress},
@@ -24,6 +25,8 @@ use std::{ops::ControlFlow, path::Path};
 const SAMPLES_OF_A_SPLIT: u64 = 1 << 48;
 /// The first place after the splits.
 const FIRST_VIEW: u64 = 8;
+/// The first place after the views: one a sequence, whose frames share their random numbers.
+const FIRST_SEQUENCE: u64 = FIRST_VIEW + MAX_LIGHTS as u64;
 
 /// Renders a dataset of `source` into the folder `out` and returns its description.
 ///
@@ -98,6 +101,8 @@ enum Item {
     File(usize, usize),
     /// The view of the scene at a place.
     View(usize),
+    /// Of the sequence at a place, the frame of that number.
+    Frame(usize, usize),
 }
 
 /// Where files go.
@@ -106,7 +111,15 @@ trait Sink {
     fn has(&mut self, work: &Work, item: Item) -> Result<bool>;
     fn heights(&mut self, height: usize, width: usize, values: Vec<f32>) -> Result<()>;
     fn file(&mut self, name: SplitName, index: usize, side: usize, blocks: &[Block]) -> Result<()>;
-    fn view(&mut self, name: &str, queries: &QueryBuffer, rgb: &RgbImage, variance: f32) -> Result<()>;
+    /// Takes a view, or the next frame of a sequence.
+    fn view(&mut self, sequence: Option<&str>, name: &str, picture: Picture) -> Result<()>;
+}
+
+/// Queries, their answers, and the mean variance of those.
+struct Picture {
+    queries: QueryBuffer,
+    rgb: RgbImage,
+    variance: f32,
 }
 
 /// Everything that is to be made.
@@ -140,10 +153,14 @@ impl<'a> Work<'a> {
         let files = |plan: usize| (0..self.plans[plan].files()).map(move |file| Item::File(plan, file));
         let heights = self.config.heights.then_some(Item::Heights);
         let training = self.plans.len().saturating_sub(1);
+        let frames = self.config.motion.map_or(0, |motion| motion.frames);
         heights
             .into_iter()
             .chain((0..training).flat_map(files))
             .chain((0..self.scenes.len()).map(Item::View))
+            .chain(
+                (0..SEQUENCES.len()).flat_map(move |k| (0..frames).map(move |frame| Item::Frame(k, frame))),
+            )
             .chain((training..self.plans.len()).flat_map(files))
     }
 
@@ -154,7 +171,7 @@ impl<'a> Work<'a> {
                 let plan = &self.plans[plan];
                 (plan.blocks_of(file).len() * plan.side * plan.side) as u64
             }
-            Item::View(_) => (self.config.view_size * self.config.view_size) as u64,
+            Item::View(_) | Item::Frame(..) => (self.config.view_size * self.config.view_size) as u64,
         }
     }
 
@@ -177,8 +194,18 @@ impl<'a> Work<'a> {
             }
             Item::View(index) => {
                 meter.enter("views");
-                let (queries, rgb, variance) = self.view(index, meter)?;
-                sink.view(&self.scenes[index].name, &queries, &rgb, variance)?;
+                let scene = &self.scenes[index];
+                let picture = self.picture(scene, FIRST_VIEW + index as u64, &self.config, meter)?;
+                sink.view(None, &scene.name, picture)?;
+            }
+            Item::Frame(sequence, frame) => {
+                let Some(motion) = self.config.motion else { return Ok(()) };
+                meter.enter("motion");
+                let scene = motion.scene(sequence, frame);
+                // As many sub-samples in every frame: where they differ, noise would move.
+                let config = GenerateConfig { noise: None, ..self.config.clone() };
+                let picture = self.picture(&scene, FIRST_SEQUENCE + sequence as u64, &config, meter)?;
+                sink.view(Some(SEQUENCES[sequence]), &scene.name, picture)?;
             }
         }
         meter.check()
@@ -214,16 +241,22 @@ impl<'a> Work<'a> {
             .collect()
     }
 
-    /// The queries of a view, their answers and the mean variance of those.
-    fn view(&self, index: usize, meter: &mut Meter) -> Result<(QueryBuffer, RgbImage, f32)> {
+    /// The picture of a scene, with the random numbers of a place.
+    fn picture(
+        &self,
+        scene: &Scene,
+        place: u64,
+        config: &GenerateConfig,
+        meter: &mut Meter,
+    ) -> Result<Picture> {
         let size = self.config.view_size;
         let resolution = [self.config.resolution; 2];
-        let queries = self.scenes[index].queries(size, self.config.view_tiles, resolution);
+        let queries = scene.queries(size, self.config.view_tiles, resolution);
         let task = Task {
             source: self.source,
-            config: &self.config,
-            spp: self.config.held_out_spp,
-            first: (FIRST_VIEW + index as u64) * SAMPLES_OF_A_SPLIT,
+            config,
+            spp: config.held_out_spp,
+            first: place * SAMPLES_OF_A_SPLIT,
             width: size,
             lines: size,
             groups: 1,
@@ -231,7 +264,7 @@ impl<'a> Work<'a> {
         let part = |rows: std::ops::Range<usize>| queries.range(rows.start * size, rows.end * size);
         let (pixels, quality) = task.run(&part, meter)?;
         let variance = quality.first().map_or(0.0, |picture| picture.variance as f32);
-        Ok((queries, RgbImage { height: size, width: size, pixels }, variance))
+        Ok(Picture { queries, rgb: RgbImage { height: size, width: size, pixels }, variance })
     }
 }
 
@@ -245,7 +278,12 @@ impl Sink for Writer {
                 Ok(file < made || self.adopt(name)?)
             }
             Item::View(index) => {
-                Ok(index < self.manifest().views.len() || self.adopt_view(&work.scenes[index].name)?)
+                Ok(index < self.manifest().views.len() || self.adopt_view(None, &work.scenes[index].name)?)
+            }
+            Item::Frame(k, frame) => {
+                let sequence = SEQUENCES[k];
+                let name = frame_name(sequence, frame);
+                Ok(frame < self.frames(sequence) || self.adopt_view(Some(sequence), &name)?)
             }
         }
     }
@@ -258,8 +296,8 @@ impl Sink for Writer {
         self.push(name, blocks)
     }
 
-    fn view(&mut self, name: &str, queries: &QueryBuffer, rgb: &RgbImage, variance: f32) -> Result<()> {
-        self.push_view(name, queries, rgb, variance)
+    fn view(&mut self, sequence: Option<&str>, name: &str, picture: Picture) -> Result<()> {
+        self.push_view(sequence, name, &picture.queries, &picture.rgb, picture.variance)
     }
 }
 
@@ -269,6 +307,7 @@ impl Sink for ShardWriter {
             Item::Heights => self.has_heights(),
             Item::File(plan, file) => self.has_file(work.plans[plan].name, file),
             Item::View(index) => self.has_view(&work.scenes[index].name),
+            Item::Frame(sequence, frame) => self.has_view(&frame_name(SEQUENCES[sequence], frame)),
         })
     }
 
@@ -280,7 +319,7 @@ impl Sink for ShardWriter {
         self.put_file(name, index, side, blocks)
     }
 
-    fn view(&mut self, name: &str, queries: &QueryBuffer, rgb: &RgbImage, variance: f32) -> Result<()> {
-        self.put_view(name, queries, rgb, variance)
+    fn view(&mut self, _: Option<&str>, name: &str, picture: Picture) -> Result<()> {
+        self.put_view(name, &picture.queries, &picture.rgb, picture.variance)
     }
 }

@@ -23,6 +23,7 @@ mod generate;
 mod grid;
 mod images;
 mod measure;
+mod motion;
 mod nearest;
 mod origin;
 mod plan;
@@ -43,14 +44,16 @@ pub use config::GenerateConfig;
 pub use contact_sheet::contact_sheet;
 pub use files::CONTACT_SHEET;
 pub use format::{
-    Distance, FORMAT, FileInfo, HeightInfo, MANIFEST, Manifest, SplitInfo, SplitName, Summary, ViewInfo,
+    Distance, FORMAT, FileInfo, HeightInfo, MANIFEST, Manifest, SequenceInfo, SplitInfo, SplitName, Summary,
+    ViewInfo,
 };
 pub use generate::{generate, generate_shard};
+pub use motion::{Motion, SEQUENCES};
 pub use progress::Progress;
 pub use query_frame::{read_query_frame, write_query_frame};
 pub use read::{Dataset, Split};
 pub use regime::Regime;
-pub use scene::{SCENES, Scene};
+pub use scene::{Camera, SCENES, Scene};
 pub use shard::Shard;
 pub use source::{Answers, Source};
 pub use stream::{Batch, Stream};

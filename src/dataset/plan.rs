@@ -2,12 +2,12 @@
 
 use super::{
     block::{Layout, Patch},
-    config::{GenerateConfig, MAX_FILES, MAX_PAIRS, MIN_BLOCKS},
+    config::{GenerateConfig, MAX_FILES, MIN_BLOCKS},
     cycle::Cycle,
     directions::{DISC, Hemisphere, Sequence},
     format::SplitName,
     regime::Regime,
-    slices::{self, Slices},
+    slices::Slices,
 };
 use crate::{
     error::{Error, Result},
@@ -17,8 +17,6 @@ use std::ops::Range;
 
 /// sin^2 of 62 degrees: beyond it a direction grazes.
 const GRAZING: f32 = 0.779_596_4;
-/// Pairs of directions that validation slices have at least: of fewer, one decides.
-const LEAST_VALIDATION_PAIRS: usize = 8;
 
 /// One split: how many blocks, and what is in them.
 pub(crate) struct Plan {
@@ -65,10 +63,10 @@ pub(crate) fn plans(config: &GenerateConfig, earlier: &[u64]) -> Result<Vec<Plan
             Regime::Scattered => {
                 Plan::scattered(config, SplitName::Validation, &[samples], config.fractional_share, spread)
             }
-            // As the training data is: a decoder that reads whole images is validated on such.
+            // A decoder that sees its neighbours can be asked on whole slices only, so these validate themselves.
             Regime::Slices(_) => {
-                let pairs = slices::pairs_for(config, samples, MAX_PAIRS).max(LEAST_VALIDATION_PAIRS);
-                let parts = vec![Slices::in_order(config.levels(), pairs)];
+                let pairs = samples.div_ceil((config.resolution * config.resolution) as u64) as usize;
+                let parts = vec![Slices::in_order(config.levels(), pairs.max(2))];
                 Plan::slices(config, SplitName::Validation, parts, spread)
             }
         });

@@ -41,7 +41,7 @@ impl Dataset {
         let root = root.as_ref().to_path_buf();
         let this = Self { manifest: Manifest::read(&root)?, root };
         let description = this.root.join(MANIFEST);
-        for view in &this.manifest.views {
+        for view in this.manifest.pictures() {
             check_bytes(&this.root.join(view.file()), view.bytes)?;
         }
         if let Some(heights) = &this.manifest.heights {
@@ -68,7 +68,9 @@ impl Dataset {
                 }
             }
         }
-        if this.manifest.splits.values().all(|s| s.files.is_empty()) && this.manifest.views.is_empty() {
+        if this.manifest.splits.values().all(|s| s.files.is_empty())
+            && this.manifest.pictures().next().is_none()
+        {
             return Err(Error::file(description, "describes no data"));
         }
         Ok(this)
@@ -119,12 +121,12 @@ impl Dataset {
         Split { root: self.root.clone(), name, resolution: self.manifest.resolution, info: info.clone() }
     }
 
-    /// Queries and answers of a view, by its name in the description.
+    /// Queries and answers of a view or of a frame of a sequence, by its name in the description.
     ///
     /// # Errors
     /// `File` if there is no such view or it is damaged.
     pub fn read_view(&self, name: &str) -> Result<(QueryBuffer, RgbImage)> {
-        let view = self.manifest.views.iter().find(|view| view.name == name);
+        let view = self.manifest.pictures().find(|view| view.name == name);
         let view =
             view.ok_or_else(|| Error::file(self.root.join(MANIFEST), format!("has no view {name}")))?;
         read_query_frame_of(&self.root.join(view.file()), [view.height, view.width])

@@ -1,8 +1,8 @@
 //! Perspective pictures of a tiled plane as query buffers: NeuMIP's evaluation scenes.
 //!
 //! The plane is z = 0, its square \[-1, 1\]^2 holds `tiles` x `tiles` tiles and goes on for ever. The camera
-//! looks at the origin from distance 2.3, tilted 45 degrees from the normal towards -y, field of view 45
-//! degrees, square pixels.
+//! looks at the origin, from distance 2.3, tilted 45 degrees from the normal towards -y, where nothing else is said;
+//! field of view 45 degrees, square pixels.
 
 use crate::{
     error::{Error, Result},
@@ -10,14 +10,24 @@ use crate::{
 };
 use std::{borrow::Cow, f64::consts::FRAC_PI_4};
 
-/// Distance of the camera from the origin.
-const DISTANCE: f64 = 2.3;
-/// Angle of the camera from the normal.
-const TILT: f64 = FRAC_PI_4;
 /// Full field of view.
 const FIELD_OF_VIEW: f64 = FRAC_PI_4;
 
-/// A scene: a light over the plane.
+/// Where a camera stands that looks at the origin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    /// Angle from the normal towards -y, degrees.
+    pub tilt: f64,
+    /// Distance from the origin.
+    pub distance: f64,
+}
+
+impl Camera {
+    /// NeuMIP's.
+    pub const NEUMIP: Self = Self { tilt: 45.0, distance: 2.3 };
+}
+
+/// A scene: a light over the plane, and a camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
     /// Name: NeuMIP's where the light is, `light-TILT-PAN` elsewhere, with a p for the point of a fraction.
@@ -26,12 +36,14 @@ pub struct Scene {
     pub tilt: f64,
     /// Azimuth of the light from x towards y, degrees.
     pub pan: f64,
+    /// The camera.
+    pub camera: Camera,
 }
 
 /// NeuMIP's: light along the normal, and light tilted by 45 and panned by 30 degrees.
 pub const SCENES: [Scene; 2] = [
-    Scene { name: Cow::Borrowed("s2"), tilt: 0.0, pan: 0.0 },
-    Scene { name: Cow::Borrowed("s4"), tilt: 45.0, pan: 30.0 },
+    Scene { name: Cow::Borrowed("s2"), tilt: 0.0, pan: 0.0, camera: Camera::NEUMIP },
+    Scene { name: Cow::Borrowed("s4"), tilt: 45.0, pan: 30.0, camera: Camera::NEUMIP },
 ];
 
 /// The scenes of lights \[tilt, pan\] in degrees.
@@ -53,13 +65,13 @@ pub(crate) fn scenes(lights: &[[f32; 2]]) -> Result<Vec<Scene>> {
 }
 
 impl Scene {
-    /// The scene of a light.
+    /// The scene of a light under NeuMIP's camera.
     pub fn new(tilt: f64, pan: f64) -> Self {
         let known = SCENES.into_iter().find(|scene| scene.tilt == tilt && scene.pan == pan);
         known.unwrap_or_else(|| {
             // Names are lower-case letters, digits and dashes.
             let name = format!("light-{tilt}-{pan}").replace('.', "p");
-            Self { name: Cow::Owned(name), tilt, pan }
+            Self { name: Cow::Owned(name), tilt, pan, camera: Camera::NEUMIP }
         })
     }
 
@@ -68,8 +80,9 @@ impl Scene {
     /// A pixel's level is log2 of the square root of its footprint's area in texels, from 0 to the tile's
     /// coarsest. A pixel that misses the plane looks from below the horizon, where the answer is 0.
     pub fn queries(&self, size: usize, tiles: usize, resolution: [usize; 2]) -> QueryBuffer {
-        let (sin, cos) = TILT.sin_cos();
-        let eye = [0.0, -DISTANCE * sin, DISTANCE * cos];
+        let Camera { tilt, distance } = self.camera;
+        let (sin, cos) = tilt.to_radians().sin_cos();
+        let eye = [0.0, -distance * sin, distance * cos];
         let (forward, right, up) = ([0.0, sin, -cos], [1.0, 0.0, 0.0], [0.0, cos, sin]);
         let half = (0.5 * FIELD_OF_VIEW).tan();
         let pitch = 2.0 * half / size as f64;
@@ -117,6 +130,19 @@ mod tests {
             let error = scenes(&[[45.0, 30.0], wrong]).unwrap_err().to_string();
             assert!(error.starts_with("lights[1]"), "{error}");
         }
+    }
+
+    #[test]
+    fn a_camera_stands_where_it_is_put() {
+        // Exactly: the views of older datasets must come out again.
+        assert_eq!(Camera::NEUMIP.tilt.to_radians(), FRAC_PI_4);
+        let above = Scene { camera: Camera { tilt: 0.0, distance: 1.0 }, ..SCENES[0].clone() };
+        let queries = above.queries(129, 1, [512, 512]);
+        let (middle, top) = (64 * 129 + 64, 64);
+        assert!(queries.wo[middle].iter().all(|v| v.abs() < 1e-6));
+        // Half a pixel inside the edge of a field of 22.5 degrees to each side, at distance 1.
+        let edge = 0.5 + 0.5 * (0.5 * FIELD_OF_VIEW).tan() * 128.0 / 129.0;
+        assert!((f64::from(queries.u[top][1]) - edge).abs() < 1e-6, "{}", queries.u[top][1]);
     }
 
     /// Half a pixel at the picture's centre, where the ray is not exactly the axis.

@@ -100,7 +100,7 @@ struct Description {
     heights: Option<HeightInfo>,
     /// Files of blocks by their names.
     files: BTreeMap<String, FileInfo>,
-    /// Views by their names.
+    /// Views and frames of sequences by their names.
     views: BTreeMap<String, ViewInfo>,
 }
 
@@ -145,7 +145,7 @@ impl Collected {
         wanted.splits.values().flat_map(|split| &split.files).for_each(|file| {
             this.files.remove(&file.name);
         });
-        wanted.views.iter().for_each(|view| {
+        wanted.pictures().for_each(|view| {
             this.views.remove(&view.name);
         });
         Ok(this)

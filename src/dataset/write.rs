@@ -5,7 +5,7 @@ use super::{
     contact_sheet::contact_sheet,
     files::{CONTACT_SHEET, HEIGHTS, is_ours, refresh, write_blocks, write_heights, write_view},
     folder::{check_bytes, entries, is_part, name_of, remove, write_whole},
-    format::{FileInfo, MANIFEST, Manifest, SplitInfo, SplitName, file_name},
+    format::{FileInfo, MANIFEST, Manifest, SequenceInfo, SplitInfo, SplitName, ViewInfo, file_name},
     nearest::Nearest,
     origin::check_same,
     read::Dataset,
@@ -107,15 +107,15 @@ impl Writer {
         let found = Manifest::read(&self.root)?;
         let path = self.root.join(MANIFEST);
         check_same(&found, &self.manifest, &path, existing == Existing::Append)?;
-        for view in &found.views {
+        for view in found.pictures() {
             check_bytes(&self.root.join(view.file()), view.bytes)?;
         }
         if let Some(heights) = &found.heights {
             check_bytes(&self.root.join(HEIGHTS), heights.bytes)?;
         }
         let complete = found.complete && found.appended_at == self.manifest.appended_at;
-        let Manifest { heights, splits, views, .. } = found;
-        self.manifest = Manifest { complete, heights, splits, views, ..self.manifest.clone() };
+        let Manifest { heights, splits, views, motion, .. } = found;
+        self.manifest = Manifest { complete, heights, splits, views, motion, ..self.manifest.clone() };
         // Training data last: it is compared with what is held out.
         for name in SplitName::ALL.into_iter().rev() {
             let Some(SplitInfo { side, files, .. }) = self.manifest.splits.get(&name).cloned() else {
@@ -208,12 +208,27 @@ impl Writer {
         Ok(true)
     }
 
-    /// Takes a view from the shards; false if none of them has it.
-    pub(crate) fn adopt_view(&mut self, name: &str) -> Result<bool> {
+    /// Takes a view, or the next frame of a sequence, from the shards; false if none of them has it.
+    pub(crate) fn adopt_view(&mut self, sequence: Option<&str>, name: &str) -> Result<bool> {
         let Some(info) = self.collected.views.remove(name) else { return Ok(false) };
         check_bytes(&self.root.join(info.file()), info.bytes)?;
-        self.manifest.views.push(info);
+        self.add_view(sequence, info);
         Ok(true)
+    }
+
+    fn add_view(&mut self, sequence: Option<&str>, info: ViewInfo) {
+        let Some(name) = sequence else { return self.manifest.views.push(info) };
+        let motion = &mut self.manifest.motion;
+        match motion.iter_mut().find(|sequence| sequence.name == name) {
+            Some(sequence) => sequence.frames.push(info),
+            None => motion.push(SequenceInfo { name: name.into(), frames: vec![info] }),
+        }
+    }
+
+    /// Frames of a sequence that are there.
+    pub(crate) fn frames(&self, sequence: &str) -> usize {
+        let found = self.manifest.motion.iter().find(|found| found.name == sequence);
+        found.map_or(0, |sequence| sequence.frames.len())
     }
 
     /// Takes the height map from the shards; false if none of them has it.
@@ -227,23 +242,25 @@ impl Writer {
     /// Samples that are there or that shards have made.
     pub(crate) fn samples(&self) -> u64 {
         let splits = self.manifest.splits.values().map(SplitInfo::samples).sum::<u64>();
-        let views = self.manifest.views.iter().map(|view| (view.height * view.width) as u64).sum::<u64>();
+        let views = self.manifest.pictures().map(|view| (view.height * view.width) as u64).sum::<u64>();
         splits + views + self.collected.samples(&self.manifest)
     }
 
-    /// Writes a view: a picture as queries and answers, with the mean variance of the answers.
+    /// Writes a view, or the next frame of a sequence: a picture as queries and answers, with the mean variance of
+    /// the answers.
     ///
     /// # Errors
     /// `Config` if the shapes differ or the name is not plain, `File` if writing fails.
     pub fn push_view(
         &mut self,
+        sequence: Option<&str>,
         name: &str,
         queries: &QueryBuffer,
         rgb: &RgbImage,
         variance: f32,
     ) -> Result<()> {
         let info = write_view(&self.root, name, queries, rgb, variance)?;
-        self.manifest.views.push(info);
+        self.add_view(sequence, info);
         self.save()
     }
 

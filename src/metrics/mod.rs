@@ -1,5 +1,8 @@
-//! Errors by name: `mse` (clamped to \[0, 1\], the headline), `mse_linear`, `mse_log1p`, `psnr` (of `mse`), `ssim`.
+//! Errors by name: `mse` (clamped to \[0, 1\], the headline), `mse_linear`, `mse_log1p`, `psnr` (of `mse`),
+//! `ssim`, `flip`, `flicker` of sequences.
 
+pub mod flicker;
+pub mod flip;
 pub mod ssim;
 
 use serde::{Deserialize, Serialize};

@@ -12,10 +12,14 @@ pub mod picture;
 #[cfg(test)]
 mod tests;
 
+pub use page::escaped;
 pub use panel::Panel;
 
 use crate::error::{Error, Result};
 use serde::Serialize;
+
+/// The style of every page.
+pub const STYLE: &str = include_str!("style.css");
 
 /// Everything the page shows.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -72,6 +76,8 @@ pub struct TableRow {
     pub psnr: Option<f64>,
     /// Structural similarity.
     pub ssim: Option<f64>,
+    /// FLIP, what is seen when answer and reference alternate: 0 to 1.
+    pub flip: Option<f64>,
     /// `mse` that the reference's own noise amounts to: no model can be seen to be better than that.
     pub noise: Option<f64>,
 }

@@ -14,7 +14,7 @@ pub(super) fn html(report: &Report) -> Result<String> {
     let mut page = String::from("<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n");
     page += "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n";
     page += &format!("<title>{}</title>\n", escaped(&report.title));
-    page += &format!("<style>\n{}</style>\n</head>\n<body>\n", include_str!("style.css"));
+    page += &format!("<style>\n{}</style>\n</head>\n<body>\n", super::STYLE);
     page += &head(report);
     page += &panels(&report.panels)?;
     page += &training(report)?;
@@ -27,7 +27,7 @@ pub(super) fn html(report: &Report) -> Result<String> {
 }
 
 /// Text as it may stand between tags and inside quoted attributes.
-pub(super) fn escaped(text: &str) -> String {
+pub fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
         match c {
@@ -170,12 +170,13 @@ fn least(values: impl Iterator<Item = f64>) -> f64 {
     values.filter(|v| v.is_finite()).fold(f64::NAN, f64::min)
 }
 
-const ERROR_COLUMNS: [&str; 10] = [
+const ERROR_COLUMNS: [&str; 11] = [
     "split",
     "level",
     "model",
     "#queries",
     "#mse",
+    "#flip",
     "#mse_linear",
     "#mse_log1p",
     "#psnr, dB",
@@ -201,7 +202,8 @@ fn errors(table: &[TableRow]) -> String {
     }
     let mut out = String::from("<h2>Held-out errors</h2>\n<p class=\"note\">");
     out += "mse: linear RGB, both clamped to [0, 1]. mse_linear: not clamped. mse_log1p: of ln(1 + x). \
-            All three and the noise \u{d7} 10\u{207b}\u{b3}. Noise is the mse that the reference's own \
+            All three and the noise \u{d7} 10\u{207b}\u{b3}. flip: what is seen when answer and reference \
+            alternate, from 0 to 1. Noise is the mse that the reference's own \
             sampling noise amounts to: no model can be seen to go below it. The best of each group \
             is marked.</p>\n";
     out += &table_head(&ERROR_COLUMNS);
@@ -224,10 +226,16 @@ fn errors(table: &[TableRow]) -> String {
 fn error_cells(row: &TableRow, group: &[&TableRow]) -> String {
     let rivals = group.len() > 1;
     let mut out = format!("<td>{}</td>{}", escaped(&row.model), number(&count(row.samples)));
-    for of in [|r: &TableRow| r.mse, |r: &TableRow| r.mse_linear, |r: &TableRow| r.mse_log1p] {
+    let error = |of: fn(&TableRow) -> f64| {
         let best = rivals && of(row) == least(group.iter().map(|r| of(r)));
-        out += &number(&bold_if(best, &significant(of(row) * MILLI)));
-    }
+        number(&bold_if(best, &significant(of(row) * MILLI)))
+    };
+    out += &error(|r| r.mse);
+    // The headline beside `mse`.
+    let flip = row.flip.filter(|v| v.is_finite());
+    let best = rivals && flip.is_some() && flip == Some(least(group.iter().filter_map(|r| r.flip)));
+    out += &number(&bold_if(best, &optional(flip, |v| format!("{v:.3}"))));
+    out += &(error(|r| r.mse_linear) + &error(|r| r.mse_log1p));
     let higher_is_better: [fn(&TableRow) -> Option<f64>; 2] = [|r| r.psnr, |r| r.ssim];
     for (of, digits) in higher_is_better.into_iter().zip([2, 3]) {
         let most = -least(group.iter().filter_map(|r| of(r)).map(|v| -v));

@@ -43,6 +43,7 @@ fn sample() -> Report {
         mse_log1p: mse * 0.6,
         psnr: (mse > 0.0).then(|| -10.0 * mse.log10()),
         ssim: Some(0.9 - mse),
+        flip: Some(0.5 * mse),
         noise,
     };
     let cost = |model: &str, ns: f64, weights, mse| CostRow {

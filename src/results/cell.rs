@@ -70,16 +70,19 @@ pub struct Cell {
     pub engine: String,
 }
 
+/// Material, preset, regime, resolution, samples a texel, seed.
+pub type RunKey = (String, String, String, [usize; 2], u64, u64);
+
 impl Cell {
-    /// What was trained: material, preset, regime, resolution, budget, seed.
-    pub fn run_key(&self) -> (String, String, String, [usize; 2], u64, u64) {
+    /// What was trained.
+    pub fn run_key(&self) -> RunKey {
         let budget = self.samples_per_texel.round() as u64;
         let (material, preset, regime) = (self.material.clone(), self.preset.clone(), self.regime.clone());
         (material, preset, regime, self.resolution, budget, self.seed)
     }
 
     /// What was trained, and what it was asked.
-    pub fn key(&self) -> ((String, String, String, [usize; 2], u64, u64), String, Option<usize>) {
+    pub fn key(&self) -> (RunKey, String, Option<usize>) {
         (self.run_key(), self.split.clone(), self.level)
     }
 }
@@ -102,8 +105,8 @@ pub struct Trial {
     pub seed: u64,
     /// Samples presented, a texel.
     pub samples_per_texel: f64,
-    /// `mse` on the validation split.
-    pub mse: f64,
+    /// `mse` on the validation split; none where the training did not end in numbers.
+    pub mse: Option<f64>,
     /// True for the one that the preset was run with.
     pub chosen: bool,
 }
