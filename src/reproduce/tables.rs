@@ -360,24 +360,16 @@ fn trials(results: &Results) -> Table {
     }
     let mut rows: BTreeMap<(String, String, usize), Tried> = BTreeMap::new();
     for trial in &results.trials {
-        let entry =
-            rows.entry((trial.preset.clone(), trial.regime.clone(), trial.index)).or_insert_with(|| {
-                let set: Vec<&str> = trial.set.iter().map(|s| s.trim_start_matches("train.")).collect();
-                (Vec::new(), set.join(" "), trial.chosen)
-            });
+        let tried = rows.entry((trial.preset.clone(), trial.regime.clone(), trial.index)).or_default();
+        let set: Vec<&str> = trial.set.iter().map(|s| s.trim_start_matches("train.")).collect();
+        (tried.set, tried.chosen) = (set.join(" "), trial.chosen);
         let mse = trial.mse.map_or("diverged".into(), |mse| format!("{:.2}", mse * 1e3));
-        entry.0.push(format!("{} {mse}", trial.material));
+        tried.values.push(format!("{} {mse}", trial.material));
     }
-    let rows = rows.into_iter().map(|((preset, regime, index), (values, set, chosen))| {
+    let rows = rows.into_iter().map(|((preset, regime, index), Tried { values, set, chosen })| {
         let set = if set.is_empty() { "as it is".into() } else { format!("`{set}`") };
-        vec![
-            preset,
-            regime,
-            index.to_string(),
-            set,
-            values.join(", "),
-            if chosen { "chosen".into() } else { "".into() },
-        ]
+        let chosen = if chosen { "chosen" } else { "" };
+        vec![preset, regime, index.to_string(), set, values.join(", "), chosen.into()]
     });
     let note = "The same number of trials for every preset, drawn from the same factors; the lowest geometric mean over \
                 the materials is chosen. Only the validation split was looked at.";
