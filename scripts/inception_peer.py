@@ -106,7 +106,10 @@ def seconds(step):
 
 def beside(command, shape, side, work):
     command = command.format(shape=shape, side=side, work=work)
-    done = subprocess.run(shlex.split(command), capture_output=True, text=True, check=False)
+    try:
+        done = subprocess.run(shlex.split(command), capture_output=True, text=True, check=False)
+    except (OSError, ValueError) as error:
+        sys.exit(f"{command}: {error}")
     try:
         return float(done.stdout.split()[-1])
     except (IndexError, ValueError):

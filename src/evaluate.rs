@@ -286,6 +286,21 @@ pub fn costs(
     };
     let asked: Vec<Option<QueryBuffer>> = answerers.iter().map(asked).collect();
     let asked: Vec<&QueryBuffer> = asked.iter().map(|own| own.as_ref().unwrap_or(&random)).collect();
+    interleaved(answerers, &asked, rounds)
+}
+
+/// Times an answerer that takes whole slices only, on the finest one, on one thread.
+///
+/// # Errors
+/// What the answerer reports.
+pub fn slice_cost(answerer: &dyn Reflectance, side: usize, rounds: usize) -> Result<Cost> {
+    let mut random = Random::new(1, Stream::Probe, 0);
+    let slice = QueryBuffer::slice(side, side, random.disc(TIMED_DISC), random.disc(TIMED_DISC), 0.0);
+    Ok(interleaved(&[answerer], &[&slice], rounds)?.remove(0))
+}
+
+/// `asked` are the queries of each answerer.
+fn interleaved(answerers: &[&dyn Reflectance], asked: &[&QueryBuffer], rounds: usize) -> Result<Vec<Cost>> {
     let pool = ThreadPoolBuilder::new()
         .num_threads(1)
         .build()
@@ -293,7 +308,7 @@ pub fn costs(
     let mut times = vec![Vec::new(); answerers.len()];
     // One round more than is counted: the first warms caches and allocators.
     for round in 0..=rounds {
-        for ((answerer, queries), times) in answerers.iter().zip(&asked).zip(&mut times) {
+        for ((answerer, queries), times) in answerers.iter().zip(asked).zip(&mut times) {
             let start = Instant::now();
             pool.install(|| answerer.evaluate(queries))?;
             if round > 0 {
@@ -301,21 +316,13 @@ pub fn costs(
             }
         }
     }
-    Ok(times
-        .into_iter()
-        .zip(asked)
-        .map(|(mut t, queries)| {
-            t.sort_by(f64::total_cmp);
-            let at = |i: usize| t.get(i).copied().unwrap_or(f64::NAN);
-            Cost {
-                ns_per_query: at(t.len() / 2),
-                ns_low: at(0),
-                ns_high: at(t.len().saturating_sub(1)),
-                rounds,
-                queries: queries.len(),
-            }
-        })
-        .collect())
+    let cost = |(mut t, queries): (Vec<f64>, &&QueryBuffer)| {
+        t.sort_by(f64::total_cmp);
+        let at = |i: usize| t.get(i).copied().unwrap_or(f64::NAN);
+        let (ns_low, ns_high) = (at(0), at(t.len().saturating_sub(1)));
+        Cost { ns_per_query: at(t.len() / 2), ns_low, ns_high, rounds, queries: queries.len() }
+    };
+    Ok(times.into_iter().zip(asked).map(cost).collect())
 }
 
 /// Whole tiles of \[H, W\] texels at level 0, one below the other under random directions: `n` queries or a tile more.

@@ -18,6 +18,8 @@
 //!   │
 //! inference ─ a checkpoint that answers, by either engine
 //!   │
+//! analytic ─ a material's own maps, marched and shaded: the rival that is not neural
+//!   │
 //! metrics, evaluate, bench ─ errors by split and level, time per query, rates beside the machine's peak
 //!   │
 //! reproduce, results, chart ─ the paper's questions, what came of them, speed against accuracy
@@ -25,6 +27,7 @@
 //! report, cli, neumip-export ─ pages, commands, ONNX and textures for other renderers
 //! ```
 
+pub mod analytic;
 pub mod bench;
 pub mod chart;
 pub mod checkpoint;

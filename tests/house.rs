@@ -7,7 +7,7 @@ use std::process::Command;
 
 /// What each module of `src/` may import besides itself and [`ANYWHERE`]. `export` is the exporter's crate but for its
 /// `config`, which is our `config`'s own ground. A module that is missing here fails.
-const FLOW: [(&str, &[&str]); 24] = [
+const FLOW: [(&str, &[&str]); 25] = [
     ("error", &["export"]),
     ("config", &[]),
     ("query", &["error"]),
@@ -47,10 +47,14 @@ const FLOW: [(&str, &[&str]); 24] = [
     ("evaluate", &["query", "metrics", "dataset", "random", "results"]),
     ("onnx_material", &["query"]),
     ("golden", &["model", "query", "random", "export"]),
+    ("analytic", &["query", "random", "kernels", "reference"]),
     ("results", &["export"]),
     ("chart", &["results"]),
     ("report", &["query", "metrics", "srgb"]),
-    ("reproduce", &["config", "query", "random", "dataset", "evaluate", "results", "report", "export"]),
+    (
+        "reproduce",
+        &["config", "analytic", "query", "random", "dataset", "evaluate", "results", "report", "export"],
+    ),
     ("cli", EVERYTHING),
 ];
 const EVERYTHING: &[&str] = &[
@@ -70,6 +74,7 @@ const EVERYTHING: &[&str] = &[
     "evaluate",
     "onnx_material",
     "golden",
+    "analytic",
     "report",
     "results",
     "reproduce",

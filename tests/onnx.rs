@@ -240,7 +240,7 @@ fn graphs_of_images_answer_as_the_model_does_in_every_engine() {
         let graph = OnnxMaterial::open(&folder.path().join("bundle/material.onnx")).unwrap();
         let difference = largest_difference(&graph.answers(&queries, images).unwrap(), &rgb);
         println!("in-process, {preset} on {resolution:?}, {images:?}: {difference:.2e}, {} lit", lit(&rgb));
-        assert!(difference <= tolerance && lit(&rgb) > rgb.len() / 2, "{difference:e}");
+        assert!(difference <= tolerance && lit(&rgb) > rgb.len() / 3, "{difference:e}");
         // Images of another size wrap elsewhere.
         let [count, height, width] = images.unwrap();
         let other = graph.answers(&queries, Some([2 * count, height / 2, width])).unwrap();

@@ -27,15 +27,19 @@ impl Surface {
     /// # Errors
     /// As [`Reference::open`].
     pub fn open(&self, material: &str, resolution: usize) -> Result<Reference> {
-        let options = ReferenceOptions {
+        Reference::open(material, &self.options(resolution))
+    }
+
+    /// The options of a reference on a tile of `resolution` x `resolution` texels.
+    pub fn options(&self, resolution: usize) -> ReferenceOptions {
+        ReferenceOptions {
             resolution: Some([resolution; 2]),
             bounces: self.bounces,
             field_side: self.field_side,
             material_seed: self.material_seed,
             make_tileable: self.make_tileable,
             ..ReferenceOptions::default()
-        };
-        Reference::open(material, &options)
+        }
     }
 
     /// The flags that make the same surface again.

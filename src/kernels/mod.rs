@@ -8,6 +8,7 @@ pub mod custom_op;
 pub mod encoding;
 pub mod encoding_rows;
 pub mod fetch;
+pub mod inception;
 pub mod loss;
 pub mod math;
 pub mod mlp;

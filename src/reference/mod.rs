@@ -130,26 +130,33 @@ pub struct Reference {
 }
 
 impl Reference {
+    /// A reference over the material of a name ([`Reference::material`]).
+    ///
+    /// # Errors
+    /// As [`Reference::material`] and [`Reference::new`].
+    pub fn open(spec: &str, options: &ReferenceOptions) -> Result<Self> {
+        Self::new(Self::material(spec, options)?, options)
+    }
+
     /// A built-in material by name, a `material.json`, or a folder that holds one.
     ///
     /// # Errors
-    /// `Usage` for a name that is neither, listing the built-in ones; otherwise as [`ReadOptions::read`] and [`Reference::new`].
-    pub fn open(spec: &str, options: &ReferenceOptions) -> Result<Self> {
+    /// `Usage` for a name that is neither, listing the built-in ones; otherwise as [`ReadOptions::read`].
+    pub fn material(spec: &str, options: &ReferenceOptions) -> Result<Material> {
         let path = Path::new(spec);
         let maps = ReadOptions { make_tileable: options.make_tileable };
-        let material = if builtin::NAMES.contains(&spec) {
-            builtin::make(spec, options.field_side, options.material_seed)?
+        if builtin::NAMES.contains(&spec) {
+            builtin::make(spec, options.field_side, options.material_seed)
         } else if path.is_dir() {
-            maps.read(&path.join("material.json"))?
+            maps.read(&path.join("material.json"))
         } else if path.exists() {
-            maps.read(path)?
+            maps.read(path)
         } else {
             let names = builtin::NAMES.join(", ");
-            return Err(Error::usage(format!(
+            Err(Error::usage(format!(
                 "{spec}: no such file, and no built-in material of that name; built in are {names}"
-            )));
-        };
-        Self::new(material, options)
+            )))
+        }
     }
 
     /// A reference over a material.

@@ -50,6 +50,8 @@ pub fn jobs(study: &Study, scope: &Scope) -> Vec<Job> {
         }
         if scope.questions.contains(&Question::Chart) {
             let variants = of_question(Question::Chart, study);
+            // Maps are not trained, so that one seed says all.
+            let variants: Vec<_> = variants.into_iter().filter(|v| v.maps.is_none() || seed == 1).collect();
             add(&scope.chart_on, &[Directions::Scattered], &variants, seed);
         }
         if scope.questions.contains(&Question::Inception) {

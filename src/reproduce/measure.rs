@@ -74,10 +74,10 @@ pub fn cells(job: &Job, data: Data, presented: u64, answered: &Answered, rows: V
         .map(|row| Cell {
             material: job.material.clone(),
             preset: format!("{}{}", job.variant.label, answered.suffix),
-            seed: job.seed,
+            seed: if presented > 0 { job.seed } else { 0 },
             resolution: [height, width],
             samples_per_texel: presented as f64 / texels,
-            unique_samples_per_texel: unique / texels,
+            unique_samples_per_texel: if presented > 0 { unique / texels } else { 0.0 },
             regime: job.directions.to_string(),
             metrics: row.metrics(),
             noise: row.noise,

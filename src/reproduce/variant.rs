@@ -1,6 +1,7 @@
 //! What is compared: presets with fields changed, under a label.
 
 use super::study::{Question, Study};
+use crate::analytic::MapsConfig;
 use crate::config::Config;
 use crate::error::Result;
 use serde_json::json;
@@ -18,6 +19,8 @@ pub struct Variant {
     pub tuned: bool,
     /// Its textures in half precision are measured too, under the label with `-f16`.
     pub half: bool,
+    /// Nothing is trained: the material's own maps are marched and shaded, and the fields above have no part in it.
+    pub maps: Option<MapsConfig>,
 }
 
 impl Variant {
@@ -25,14 +28,23 @@ impl Variant {
     pub fn preset(name: &str) -> Self {
         let label =
             std::path::Path::new(name).file_stem().map_or(name.into(), |s| s.to_string_lossy().into());
-        Self { label, preset: name.into(), set: Vec::new(), tuned: true, half: false }
+        Self { label, preset: name.into(), set: Vec::new(), tuned: true, half: false, maps: None }
     }
 
     fn changed(preset: &str, label: String, set: Vec<String>) -> Self {
-        Self { label, preset: preset.into(), set, tuned: true, half: true }
+        Self { label, preset: preset.into(), set, tuned: true, half: true, maps: None }
     }
 
-    /// The configuration.
+    /// The rival that is not neural.
+    fn maps(config: MapsConfig) -> Self {
+        let MapsConfig { view_steps, shadow_steps, rays, .. } = config;
+        let rays = if rays > 1 { format!("-rays-{}", rays * rays) } else { String::new() };
+        let shadow = if shadow_steps == view_steps { String::new() } else { format!("-{shadow_steps}") };
+        let label = format!("maps-{view_steps}{shadow}{rays}");
+        Self { tuned: false, maps: Some(config), ..Self::preset(&label) }
+    }
+
+    /// The configuration of what is trained.
     ///
     /// # Errors
     /// As [`Config::preset`] and [`Config::set`].
@@ -49,6 +61,8 @@ const WIDTHS: [usize; 4] = [8, 16, 40, 64];
 const CHANNELS: [usize; 3] = [3, 5, 12];
 /// Finest levels of the chart's textures, with the names of their resolutions.
 const FINEST: [(usize, &str); 2] = [(1, "half"), (2, "quarter")];
+/// Steps of the view ray and of the shadow ray, and rays along a side of the footprint, of the maps that are marched.
+const MARCHES: [(usize, usize, usize); 4] = [(4, 4, 1), (8, 8, 1), (16, 16, 1), (16, 16, 2)];
 /// The families whose sizes are varied.
 const FAMILIES: [&str; 2] = ["neumip", "improved"];
 
@@ -80,6 +94,9 @@ pub fn of_chart() -> Vec<Variant> {
         ("improved-no-offset", vec![r#"model.parallax={"kind":"none"}"#.to_string()]),
     ];
     all.extend(encodings.map(|(label, set)| Variant::changed("improved", label.into(), set)));
+    all.extend(MARCHES.map(|(view_steps, shadow_steps, rays)| {
+        Variant::maps(MapsConfig { view_steps, shadow_steps, rays, ..MapsConfig::default() })
+    }));
     all
 }
 
@@ -140,6 +157,7 @@ fn ablation(study: &Study, encoding: &str, gradient: &str, stages: &str) -> Vari
         set: vec![format!("model.encoding={encoding_value}"), format!("train.stages={stages_value}")],
         tuned: false,
         half: false,
+        maps: None,
     }
 }
 
@@ -196,7 +214,8 @@ mod tests {
         for variants in &all {
             let labels: BTreeSet<_> = variants.iter().map(|v| v.label.clone()).collect();
             assert_eq!(labels.len(), variants.len());
-            let configs: BTreeSet<_> = variants
+            let trained: Vec<_> = variants.iter().filter(|v| v.maps.is_none()).collect();
+            let configs: BTreeSet<_> = trained
                 .iter()
                 .map(|v| {
                     let config = v.config().unwrap();
@@ -205,7 +224,7 @@ mod tests {
                     serde_json::to_string(&config).unwrap()
                 })
                 .collect();
-            assert_eq!(configs.len(), variants.len(), "two variants are the same");
+            assert_eq!(configs.len(), trained.len(), "two variants are the same");
         }
         assert!(all[0].len() >= 20, "{}", all[0].len());
         assert_eq!(all[1].len(), ENCODINGS.len() * (1 + GRADIENTS.len() * STAGES.len()));

@@ -182,7 +182,7 @@ pub fn image_cases() -> Vec<(&'static str, ModelConfig, [usize; 2])> {
         ),
         (
             "one module, masked, without parallax",
-            case(1, [3, 2, 1, 3], [1, 1], |m| {
+            case(1, [3, 2, 2, 3], [4, 4], |m| {
                 m.parallax = ParallaxConfig::None {};
                 m.output.mask = true;
                 m.output.space = OutputSpace::Yuv;

@@ -2,6 +2,7 @@
 
 mod machine;
 mod run;
+mod times;
 mod training;
 
 use super::console::Console;

@@ -4,29 +4,25 @@ use super::super::console::Console;
 use super::super::{generate, surface::Surface};
 use super::Reproduce;
 use super::machine::machine;
+use super::times::Times;
 use super::training::{configured, trained};
+use crate::analytic::{AnalyticMaps, MapsConfig};
 use crate::checkpoint;
 use crate::config::Config;
 use crate::dataset::{Dataset, Existing};
-use crate::engine::FusedMaterial;
 use crate::error::{Error, Result};
-use crate::evaluate::{TIMED_QUERIES, costs};
 use crate::inference::{Answerer, answerer};
-use crate::kernels::simd::Isa;
-use crate::model::Variables;
 use crate::query::Reflectance;
-use crate::reference::ReferenceOptions;
+use crate::reference::{Reference, ReferenceOptions};
 use crate::report::picture;
 use crate::reproduce::folder::Finished;
 use crate::reproduce::measure::{Answered, Data, cells, rows};
 use crate::reproduce::page::{Heading, picture_name, results_html, results_markdown};
 use crate::reproduce::study::Directions;
-use crate::reproduce::variant::ABLATION;
 use crate::reproduce::{Folder, Job, Scope, Study, Variant, jobs, tuning};
 use crate::results::{self, Trial};
 use candle_core::Device;
 use neumip_export::Precision;
-use neumip_export::config::Architecture;
 use neumip_export::whole_file::write_whole;
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -62,7 +58,7 @@ impl Run<'_> {
             .filter(|(k, _)| k % share.of == share.index - 1)
             .map(|(_, job)| job)
             .collect();
-        for job in &all {
+        for job in all.iter().filter(|job| job.variant.maps.is_none()) {
             configured(job.variant.config()?, &self.study, job.seed, 1.0).train.validate()?;
         }
         if self.asked.plan {
@@ -97,7 +93,11 @@ impl Run<'_> {
                 folder.root().display()
             ))?;
         }
-        self.times(&folder, &all)?;
+        Times { study: &self.study, rounds: self.asked.rounds, console: self.console }.measure(
+            &folder,
+            &all,
+            &|job, config| self.baked(&job.material, config),
+        )?;
         self.report(&folder, &all)
     }
 
@@ -134,18 +134,11 @@ impl Run<'_> {
         }
         let path = folder.data(material, directions);
         let config = self.study.generation(directions);
-        let options = ReferenceOptions::default();
-        let surface = Surface {
-            bounces: self.study.bounces,
-            field_side: options.field_side,
-            material_seed: 0,
-            make_tileable: false,
-        };
         let whole = Dataset::open(&path).ok().filter(|d| d.manifest().complete);
         let data = match whole {
             Some(data) => data,
             None => {
-                let reference = generate::reference(material, &surface, &config)?;
+                let reference = generate::reference(material, &self.surface(), &config)?;
                 let existing = if path.exists() { Existing::Resume } else { Existing::Refuse };
                 generate::dataset(&reference, &config, &path, existing, self.console)?
             }
@@ -154,8 +147,47 @@ impl Run<'_> {
         Ok(data)
     }
 
+    fn surface(&self) -> Surface {
+        Surface {
+            bounces: self.study.bounces,
+            field_side: ReferenceOptions::default().field_side,
+            material_seed: 0,
+            make_tileable: false,
+        }
+    }
+
+    /// The maps of a material, baked.
+    fn baked(&self, material: &str, config: &MapsConfig) -> Result<AnalyticMaps> {
+        let side = self.study.resolution;
+        let material = Reference::material(material, &self.surface().options(side))?;
+        AnalyticMaps::new(&material, [side; 2], &MapsConfig { bounces: self.study.bounces, ..*config })
+    }
+
+    /// Measures a material's own maps.
+    fn maps(&self, folder: &Folder, job: &Job, config: &MapsConfig, known: &mut Known) -> Result<Finished> {
+        let maps = match self.baked(&job.material, config) {
+            Ok(maps) => maps,
+            // What is made of fibres or sheets has no maps; that is a result too.
+            Err(Error::Config { problem, .. }) => {
+                let failure = Some(format!("{}: {problem}", job.name()));
+                return Ok(Finished { machine: machine(), seconds: 0.0, cells: Vec::new(), failure });
+            }
+            Err(other) => return Err(other),
+        };
+        let held_out = self.data(folder, &job.material, Directions::Scattered, known)?;
+        let data = Data { training: &held_out, held_out: &held_out };
+        let engine = format!("maps {}", maps.isa().name());
+        let answered = Answered { suffix: "", engine, bytes: maps.bytes(), flops: maps.flops() };
+        let mut cells = cells(job, data, 0, &answered, rows(&maps, &self.study, data)?);
+        cells.retain(|cell| cell.level.is_none());
+        Ok(Finished { machine: machine(), seconds: 0.0, cells, failure: None })
+    }
+
     /// Trains and measures one job.
     fn job(&self, folder: &Folder, job: &Job, known: &mut Known) -> Result<Finished> {
+        if let Some(config) = &job.variant.maps {
+            return self.maps(folder, job, config, known);
+        }
         let training = self.data(folder, &job.material, job.directions, known)?;
         let held_out = self.data(folder, &job.material, Directions::Scattered, known)?;
         let mut config = job.variant.config()?;
@@ -264,41 +296,6 @@ impl Run<'_> {
             .say(format!("{label} on {directions} data: trial {best} is the best{}", described(&set)));
         known.tuned.insert(key, set.clone());
         Ok(set)
-    }
-
-    /// Times every variant, all in one run.
-    fn times(&self, folder: &Folder, all: &[Job]) -> Result<()> {
-        if self.asked.rounds == 0 {
-            return Ok(());
-        }
-        let mut variants: BTreeMap<String, (Architecture, Precision)> = BTreeMap::new();
-        for job in all.iter().filter(|job| !job.variant.label.starts_with(ABLATION)) {
-            let architecture = Architecture::new(job.variant.config()?.model, [self.study.resolution; 2])?;
-            let label = &job.variant.label;
-            if job.variant.half {
-                variants.insert(format!("{label}-f16"), (architecture.clone(), Precision::Half));
-            }
-            variants.insert(label.clone(), (architecture, Precision::Single));
-        }
-        let mut times = folder.times()?;
-        if variants.keys().all(|label| times.contains_key(label)) {
-            return Ok(());
-        }
-        self.console.say(format!("timing {} variants on one thread", variants.len()));
-        let isa = Isa::chosen()?;
-        let mut materials = Vec::new();
-        for (architecture, precision) in variants.values() {
-            // What a query costs depends on shapes and not on values.
-            let tensors = Variables::initial(architecture, 1, &Device::Cpu)?.to_stored()?;
-            materials.push(FusedMaterial::new(architecture, &tensors, *precision, isa)?);
-        }
-        let answerers: Vec<&dyn Reflectance> = materials.iter().map(|m| m as &dyn Reflectance).collect();
-        let levels = self.study.resolution.ilog2() as usize;
-        let measured = costs(&answerers, levels, TIMED_QUERIES, self.asked.rounds)?;
-        for (label, cost) in variants.keys().zip(measured) {
-            times.insert(label.clone(), cost.ns_per_query);
-        }
-        folder.save_times(&times)
     }
 
     /// Writes what the folder knows.

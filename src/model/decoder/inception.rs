@@ -22,7 +22,7 @@ pub struct Inception {
 struct Layer {
     /// Rows and columns of the kernel.
     side: usize,
-    /// \[side * side * in, out\].
+    /// \[out, in, side, side\], as the variable has it: its values change between steps.
     weight: Tensor,
     bias: Tensor,
 }
@@ -30,9 +30,7 @@ struct Layer {
 impl Layer {
     fn new(shape: &Convolution, tensor: &dyn Fn(&str) -> Result<Tensor>) -> Result<Self> {
         let [(weight, _), (bias, _)] = shape.tensors();
-        let Convolution { inputs, outputs, side, .. } = *shape;
-        let weight = tensor(&weight)?.permute((2, 3, 1, 0))?.contiguous()?;
-        Ok(Self { side, weight: weight.reshape((side * side * inputs, outputs))?, bias: tensor(&bias)? })
+        Ok(Self { side: shape.side, weight: tensor(&weight)?, bias: tensor(&bias)? })
     }
 
     /// \[n, h, w, in\] -> \[n, h, w, out\].
@@ -49,7 +47,8 @@ impl Layer {
             }
         };
         let inputs = columns.dims()[3];
-        let out = columns.reshape((n * h * w, inputs))?.matmul(&self.weight)?.broadcast_add(&self.bias)?;
+        let weight = self.weight.permute((2, 3, 1, 0))?.contiguous()?.reshape((inputs, ()))?;
+        let out = columns.reshape((n * h * w, inputs))?.matmul(&weight)?.broadcast_add(&self.bias)?;
         Ok(out.reshape((n, h, w, ()))?)
     }
 }
@@ -165,14 +164,13 @@ mod tests {
         let mosaic = Mosaic { down: 2, across: 2, height: 4, width: 3 };
         let x = Var::from_tensor(&random(&[mosaic.samples(), 5])).unwrap();
         let coefficients = random(&[mosaic.samples(), 3]);
-        let sum = || {
-            let named = |name: &str| {
-                let (_, var) = variables.iter().find(|(n, _)| n == name).unwrap();
-                Ok(var.as_tensor().clone())
-            };
-            let network = Inception::new(&convolutions, &named).unwrap();
-            (network.forward(&x, mosaic).unwrap() * &coefficients).unwrap().sum_all().unwrap()
+        let named = |name: &str| {
+            let (_, var) = variables.iter().find(|(n, _)| n == name).unwrap();
+            Ok(var.as_tensor().clone())
         };
+        // Once for all: it follows its variables.
+        let network = Inception::new(&convolutions, &named).unwrap();
+        let sum = || (network.forward(&x, mosaic).unwrap() * &coefficients).unwrap().sum_all().unwrap();
         let store = sum().backward().unwrap();
         for (name, var) in variables.iter().map(|(n, v)| (n.as_str(), v)).chain([("input", &x)]) {
             let gradient = store.get(var).unwrap();
