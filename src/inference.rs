@@ -29,7 +29,6 @@ pub fn answerer(
     device: &Device,
 ) -> Result<Answerer> {
     let Header { architecture, .. } = &checkpoint.header;
-    let kind = kind.or(architecture.neighbourhood().map(|_| EngineKind::Candle));
     match (kind, device.is_cpu()) {
         (None | Some(EngineKind::Fused), true) => {
             let isa = Isa::chosen()?;

@@ -245,7 +245,7 @@ pub fn text_table(evaluations: &[Evaluation]) -> String {
             let r = e.rows.iter().find(|r| same(r, row));
             out += " |";
             for Column { width, digits, of, .. } in &shown {
-                out += &format!(" {:>width$}", number(r.and_then(|r| of(r)), *digits));
+                out += &format!(" {:>width$}", number(r.and_then(of), *digits));
             }
         }
     }

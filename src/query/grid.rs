@@ -183,6 +183,9 @@ impl Part {
     }
 }
 
+/// Answers the queries of some images, in their order.
+pub type Answer<'a> = dyn Fn(&QueryBuffer, Mosaic) -> Result<Vec<[f32; 3]>> + 'a;
+
 /// Answers the grids of a buffer through periodic images: `answer` gets the queries of some images of one size and gives an
 /// answer each.
 ///
@@ -192,7 +195,7 @@ pub fn answer(
     queries: &QueryBuffer,
     radius: usize,
     resolution: [usize; 2],
-    answer: &dyn Fn(&QueryBuffer, Mosaic) -> Result<Vec<[f32; 3]>>,
+    answer: &Answer,
 ) -> Result<Vec<[f32; 3]>> {
     let parts = parts(queries, radius, resolution)?;
     let mut pieces: Vec<Part> = parts.into_iter().flat_map(|p| p.cut(radius, resolution)).collect();

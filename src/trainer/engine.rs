@@ -102,7 +102,6 @@ pub fn engine(
     variables: &Variables,
     device: &Device,
 ) -> Result<Box<dyn Engine>> {
-    let kind = kind.or(architecture.neighbourhood().map(|_| EngineKind::Candle));
     match (kind, device.is_cpu()) {
         (None | Some(EngineKind::Fused), true) => {
             Ok(Box::new(FusedEngine::new(architecture, Isa::chosen()?)))

@@ -104,7 +104,7 @@ impl Engine for FusedEngine {
             highest_level: step.highest_level,
             offset_texture: step.offset_texture,
         };
-        let value = self.batch.gradients(&networks, &textures, step.pieces, &loss, &mut self.sums);
+        let value = self.batch.gradients(&networks, &textures, step.pieces, &loss, &mut self.sums)?;
         // Every sample's gradient reaches the last bias.
         let outputs = self.batch.plan().architecture.decoder_outputs();
         let last = &self.sums.networks[self.sums.networks.len() - outputs..];
