@@ -7,7 +7,7 @@ use crate::metrics::flicker::Flicker;
 use crate::metrics::flip::flip;
 use crate::metrics::ssim::ssim;
 use crate::metrics::{ErrorSum, Errors};
-use crate::query::{QueryBuffer, Reflectance};
+use crate::query::{QueryBuffer, Reflectance, Support};
 use crate::random::{Random, Stream};
 use crate::results::Metrics;
 use rayon::ThreadPoolBuilder;
@@ -149,7 +149,27 @@ impl Bucket {
     }
 }
 
-/// Errors on the given splits: a row a level and one for the whole split; with weights of LPIPS that too.
+/// Why an answerer cannot be asked the queries of a split, in a line; nothing if it can.
+///
+/// # Errors
+/// `File` for data that cannot be read.
+pub fn refusal(answerer: &dyn Reflectance, data: &Dataset, name: SplitName) -> Result<Option<String>> {
+    if answerer.support() == Support::Pointwise {
+        return Ok(None);
+    }
+    let split = data.split(name)?;
+    for file in 0..split.files() {
+        for layout in split.layouts(file)? {
+            if let Err(error) = answerer.support().check(&layout.queries(data.resolution())) {
+                return Ok(Some(format!("{name} is left out: {error}")));
+            }
+        }
+    }
+    Ok(None)
+}
+
+/// Errors on the given splits: a row a level and one for the whole split; with weights of LPIPS that too. Splits that the answerer cannot be asked
+/// ([`refusal`]) have no rows.
 ///
 /// # Errors
 /// `File` for data that cannot be read, or what the answerer reports.
@@ -177,6 +197,9 @@ pub fn split_table(
     most: u64,
     lpips: Option<&Lpips>,
 ) -> Result<Vec<Row>> {
+    if refusal(answerer, data, name)?.is_some() {
+        return Ok(Vec::new());
+    }
     let split = data.split(name)?;
     let mut levels: BTreeMap<usize, Bucket> = BTreeMap::new();
     let mut all = Bucket::default();
@@ -200,12 +223,15 @@ pub fn split_table(
     Ok(rows)
 }
 
-/// Errors on the perspective views: a row each.
+/// Errors on the perspective views: a row each. An answerer that reads neighbours has none, since a view is no regular grid.
 ///
 /// # Errors
 /// As [`error_table`].
 pub fn view_table(answerer: &dyn Reflectance, data: &Dataset, lpips: Option<&Lpips>) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
+    if answerer.support() != Support::Pointwise {
+        return Ok(rows);
+    }
     for view in &data.manifest().views {
         let (queries, reference) = data.read_view(&view.name)?;
         let answer = answerer.evaluate(&queries)?;
@@ -223,6 +249,9 @@ pub fn view_table(answerer: &dyn Reflectance, data: &Dataset, lpips: Option<&Lpi
 /// As [`error_table`].
 pub fn motion_table(answerer: &dyn Reflectance, data: &Dataset, lpips: Option<&Lpips>) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
+    if answerer.support() != Support::Pointwise {
+        return Ok(rows);
+    }
     for sequence in &data.manifest().motion {
         let (mut bucket, mut flicker) = (Bucket::default(), Flicker::default());
         for frame in &sequence.frames {
@@ -270,7 +299,8 @@ pub struct Cost {
     pub queries: usize,
 }
 
-/// Times several answerers in interleaved rounds on one thread: random positions and directions, levels 0 to `levels` - 1.
+/// Times several answerers in interleaved rounds on one thread: random positions and directions, levels 0 to `levels` - 1,
+/// or as many whole tiles of level 0 as hold so many queries for an answerer that reads neighbours.
 ///
 /// # Errors
 /// What an answerer reports.
@@ -280,7 +310,14 @@ pub fn costs(
     queries: usize,
     rounds: usize,
 ) -> Result<Vec<Cost>> {
-    interleaved(answerers, &random_queries(queries, levels, 1), rounds)
+    let random = random_queries(queries, levels, 1);
+    let asked = |answerer: &&dyn Reflectance| match answerer.support() {
+        Support::Pointwise => None,
+        Support::Neighbourhood { resolution, .. } => Some(tiles(queries, resolution, 1)),
+    };
+    let asked: Vec<Option<QueryBuffer>> = answerers.iter().map(asked).collect();
+    let asked: Vec<&QueryBuffer> = asked.iter().map(|own| own.as_ref().unwrap_or(&random)).collect();
+    interleaved(answerers, &asked, rounds)
 }
 
 /// Times an answerer that takes whole slices only, on the finest one, on one thread.
@@ -290,10 +327,11 @@ pub fn costs(
 pub fn slice_cost(answerer: &dyn Reflectance, side: usize, rounds: usize) -> Result<Cost> {
     let mut random = Random::new(1, Stream::Probe, 0);
     let slice = QueryBuffer::slice(side, side, random.disc(TIMED_DISC), random.disc(TIMED_DISC), 0.0);
-    Ok(interleaved(&[answerer], &slice, rounds)?.remove(0))
+    Ok(interleaved(&[answerer], &[&slice], rounds)?.remove(0))
 }
 
-fn interleaved(answerers: &[&dyn Reflectance], queries: &QueryBuffer, rounds: usize) -> Result<Vec<Cost>> {
+/// `asked` are the queries of each answerer.
+fn interleaved(answerers: &[&dyn Reflectance], asked: &[&QueryBuffer], rounds: usize) -> Result<Vec<Cost>> {
     let pool = ThreadPoolBuilder::new()
         .num_threads(1)
         .build()
@@ -301,7 +339,7 @@ fn interleaved(answerers: &[&dyn Reflectance], queries: &QueryBuffer, rounds: us
     let mut times = vec![Vec::new(); answerers.len()];
     // One round more than is counted: the first warms caches and allocators.
     for round in 0..=rounds {
-        for (answerer, times) in answerers.iter().zip(&mut times) {
+        for ((answerer, queries), times) in answerers.iter().zip(asked).zip(&mut times) {
             let start = Instant::now();
             pool.install(|| answerer.evaluate(queries))?;
             if round > 0 {
@@ -309,13 +347,29 @@ fn interleaved(answerers: &[&dyn Reflectance], queries: &QueryBuffer, rounds: us
             }
         }
     }
-    let cost = |mut t: Vec<f64>| {
+    let cost = |(mut t, queries): (Vec<f64>, &&QueryBuffer)| {
         t.sort_by(f64::total_cmp);
         let at = |i: usize| t.get(i).copied().unwrap_or(f64::NAN);
         let (ns_low, ns_high) = (at(0), at(t.len().saturating_sub(1)));
         Cost { ns_per_query: at(t.len() / 2), ns_low, ns_high, rounds, queries: queries.len() }
     };
-    Ok(times.into_iter().map(cost).collect())
+    Ok(times.into_iter().zip(asked).map(cost).collect())
+}
+
+/// Whole tiles of \[H, W\] texels at level 0, one below the other under random directions: `n` queries or a tile more.
+fn tiles(n: usize, resolution: [usize; 2], seed: u64) -> QueryBuffer {
+    let [height, width] = resolution;
+    let count = n.div_ceil(height * width).max(1);
+    let tile = QueryBuffer::slice(height, width, [0.0; 2], [0.0; 2], 0.0);
+    let mut queries = QueryBuffer::slice(count * height, width, [0.0; 2], [0.0; 2], 0.0);
+    for k in 0..count {
+        let mut random = Random::new(seed, Stream::Probe, k as u64);
+        let of_tile = k * tile.len()..(k + 1) * tile.len();
+        queries.u[of_tile.clone()].copy_from_slice(&tile.u);
+        queries.wi[of_tile.clone()].fill(random.disc(TIMED_DISC));
+        queries.wo[of_tile].fill(random.disc(TIMED_DISC));
+    }
+    queries
 }
 
 /// Queries at random positions under random directions, levels uniform in \[0, `levels` - 1\].

@@ -7,6 +7,7 @@ use crate::query::{QueryBuffer, Reflectance};
 use crate::random::{Random, Stream};
 use candle_core::Device;
 use neumip_export::checkpoint::Checkpoint;
+use neumip_export::config::Architecture;
 use neumip_export::{Golden, Precision, TexturePrecision};
 
 /// Largest |difference| / (1 + |value|) of a reader of the bundle: f32 networks summed in another order, on positions that
@@ -45,6 +46,42 @@ pub fn probes(n: usize, coarsest: usize, seed: u64) -> QueryBuffer {
     queries
 }
 
+/// Images of regular grids for a decoder that reads neighbours, \[N, H, W\]: whole tiles, from the finest level on that is no
+/// larger than half of `n`; coarser ones repeat in the image. In turn plain, on other tiles, grazing, below the horizon.
+pub fn image_probes(architecture: &Architecture, n: usize, seed: u64) -> (QueryBuffer, [usize; 3]) {
+    let size = |level: u32| architecture.resolution.map(|side| side >> level);
+    let whole = |level: &u32| size(*level).map(|side| side << level) == architecture.resolution;
+    let levels: Vec<u32> = (0..=architecture.coarsest() as u32 + 1).take_while(whole).collect();
+    let small = |level: &&u32| 2 * size(**level).iter().product::<usize>() <= n;
+    let finest = levels.iter().find(small).or(levels.last()).copied().unwrap_or(0);
+    let [height, width] = size(finest);
+    let count = (n / (height * width)).max(2);
+    let mut queries = QueryBuffer::slice(count * height, width, [0.0; 2], [0.0; 2], 0.0);
+    for k in 0..count {
+        let mut random = Random::sub_stream(seed, Stream::Probe, 1, k as u64);
+        let level = finest + k as u32 % (levels.len() as u32 - finest);
+        let [rows, columns] = size(level);
+        let mut w = [random.disc(0.99), random.disc(0.99)];
+        match k % 8 {
+            3 => w = [grazing(&mut random), grazing(&mut random)],
+            5 => w[random.below(2)] = [0.8, -0.9],
+            _ => {}
+        }
+        let tiles = if k % 4 == 1 { 3.0 } else { 0.0 };
+        let (top, left) = (random.below(rows), random.below(columns));
+        for (i, j) in (0..height * width).map(|at| (at / width, at % width)) {
+            let at = (k * height + i) * width + j;
+            let centre = |first: usize, index: usize, texels: usize| {
+                ((first + index) % texels) as f32 / texels as f32 + 0.5 / texels as f32 - tiles
+            };
+            queries.u[at] = [centre(left, j, columns), centre(top, i, rows)];
+            [queries.wi[at], queries.wo[at]] = w;
+            queries.level[at] = level as f32;
+        }
+    }
+    (queries, [count, height, width])
+}
+
 /// A direction within a few degrees of the horizon.
 fn grazing(random: &mut Random) -> [f32; 2] {
     let radius = 0.99 + 0.0099 * random.uniform();
@@ -58,10 +95,17 @@ fn grazing(random: &mut Random) -> [f32; 2] {
 /// As [`NeuralMaterial::from_checkpoint`] and its answers.
 pub fn answers(checkpoint: &Checkpoint, n: usize) -> Result<Golden> {
     let material = NeuralMaterial::from_checkpoint(checkpoint, &Device::Cpu)?;
-    let queries = probes(n, checkpoint.header.architecture.coarsest(), 1);
+    let architecture = &checkpoint.header.architecture;
+    let (queries, images) = match architecture.neighbourhood() {
+        None => (probes(n, architecture.coarsest(), 1), None),
+        Some(_) => {
+            let (queries, images) = image_probes(architecture, n, 1);
+            (queries, Some(images))
+        }
+    };
     let rgb = material.evaluate(&queries)?.pixels;
     let QueryBuffer { u, wi, wo, level, .. } = queries;
-    Ok(Golden { tolerance: TOLERANCE, u, wi, wo, level, rgb })
+    Ok(Golden { tolerance: TOLERANCE, u, wi, wo, level, rgb, images })
 }
 
 /// A checkpoint with rounded textures, its golden answers, and how far they are from those before.
@@ -92,7 +136,7 @@ pub fn rounded(checkpoint: &Checkpoint, storage: Precision, n: usize) -> Result<
         largest = if difference <= largest { largest } else { difference };
         sum += difference;
     }
-    let mean = sum / (3 * n.max(1)) as f64;
+    let mean = sum / (3 * golden.rgb.len().max(1)) as f64;
     let cost = TexturePrecision { storage, largest_difference: largest, mean_difference: mean };
     Ok(Rounded { checkpoint: rounded, golden, cost })
 }

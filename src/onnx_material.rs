@@ -5,7 +5,8 @@ use crate::query::{QueryBuffer, Reflectance, RgbImage};
 use rten::{Model, Value, ValueOrView};
 use std::path::Path;
 
-/// A graph with inputs u, wi, wo \[N, 2\], level \[N\] and output rgb \[N, 3\].
+/// A graph with inputs u, wi, wo \[N, 2\], level \[N\] and output rgb \[N, 3\]; of a decoder that reads neighbours
+/// \[N, H, W, 2\], \[N, H, W\] and \[N, H, W, 3\].
 pub struct OnnxMaterial(Model);
 
 impl OnnxMaterial {
@@ -29,15 +30,20 @@ impl OnnxMaterial {
     }
 }
 
-impl Reflectance for OnnxMaterial {
-    fn evaluate(&self, queries: &QueryBuffer) -> Result<RgbImage> {
+impl OnnxMaterial {
+    /// Answers queries that are \[N, H, W\] `images`, one after another, or each on its own.
+    ///
+    /// # Errors
+    /// `Config` if the graph takes no such queries.
+    pub fn answers(&self, queries: &QueryBuffer, images: Option<[usize; 3]>) -> Result<Vec<[f32; 3]>> {
         let failed = |problem: &dyn std::fmt::Display| Error::config("material.onnx", problem);
-        let n = queries.len();
+        let extents = images.map_or(vec![queries.len()], Vec::from);
+        let with = |columns: usize| [extents.clone(), vec![columns]].concat();
         let feeds = [
-            ("u", vec![n, 2], queries.u.as_flattened()),
-            ("wi", vec![n, 2], queries.wi.as_flattened()),
-            ("wo", vec![n, 2], queries.wo.as_flattened()),
-            ("level", vec![n], &queries.level[..]),
+            ("u", with(2), queries.u.as_flattened()),
+            ("wi", with(2), queries.wi.as_flattened()),
+            ("wo", with(2), queries.wo.as_flattened()),
+            ("level", extents.clone(), &queries.level[..]),
         ];
         let mut inputs = Vec::new();
         for (name, shape, data) in feeds {
@@ -47,11 +53,21 @@ impl Reflectance for OnnxMaterial {
         }
         let output = self.0.node_id("rgb").map_err(|e| failed(&e))?;
         let [rgb] = self.0.run_n(inputs, [output], None).map_err(|e| failed(&e))?;
-        let (shape, data) = rgb.into_shape_vec::<f32, 2>().map_err(|e| failed(&e))?;
-        if shape != [n, 3] {
-            return Err(failed(&format!("answers with shape {shape:?} where [{n}, 3] was asked")));
+        let (shape, data) = match images {
+            None => rgb.into_shape_vec::<f32, 2>().map(|(shape, data)| (shape.to_vec(), data)),
+            Some(_) => rgb.into_shape_vec::<f32, 4>().map(|(shape, data)| (shape.to_vec(), data)),
         }
-        let pixels = data.as_chunks::<3>().0.to_vec();
+        .map_err(|e| failed(&e))?;
+        if shape != with(3) {
+            return Err(failed(&format!("answers with shape {shape:?} where {:?} was asked", with(3))));
+        }
+        Ok(data.as_chunks::<3>().0.to_vec())
+    }
+}
+
+impl Reflectance for OnnxMaterial {
+    fn evaluate(&self, queries: &QueryBuffer) -> Result<RgbImage> {
+        let pixels = self.answers(queries, None)?;
         Ok(RgbImage { height: queries.height(), width: queries.width(), pixels })
     }
 }

@@ -10,6 +10,8 @@
 //! - RGB is linear and is f cos(theta_i) averaged over the footprint: radiance under a distant light that gives
 //!   irradiance 1 on a plane facing it.
 
+pub mod grid;
+
 use crate::error::{Error, Result};
 
 /// An H x W grid of queries, row by row. Vectors all have `height * width` entries.
@@ -118,8 +120,33 @@ pub struct RgbImage {
 pub enum Support {
     /// Every query on its own.
     Pointwise,
-    /// Only regular grids: an answer depends on the queries within this radius.
-    Neighbourhood(usize),
+    /// Only regular grids ([`grid`]), since an answer depends on the queries around it.
+    Neighbourhood {
+        /// How far away they lie at most, in samples.
+        radius: usize,
+        /// Texels of the tile, \[height, width\].
+        resolution: [usize; 2],
+    },
+}
+
+impl Support {
+    /// The support of a decoder that reads queries within `radius`, or each one alone, on a tile of so many texels.
+    pub fn of(radius: Option<usize>, resolution: [usize; 2]) -> Self {
+        radius.map_or(Self::Pointwise, |radius| Self::Neighbourhood { radius, resolution })
+    }
+
+    /// Checks that an answerer of this kind takes these queries.
+    ///
+    /// # Errors
+    /// `Config`, naming the first query that it refuses and saying what it needs.
+    pub fn check(self, queries: &QueryBuffer) -> Result<()> {
+        match self {
+            Self::Pointwise => Ok(()),
+            Self::Neighbourhood { radius, resolution } => {
+                grid::parts(queries, radius, resolution).map(|_| ())
+            }
+        }
+    }
 }
 
 /// Whatever answers queries: the reference surface, a candle model, fused kernels.

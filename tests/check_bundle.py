@@ -2,8 +2,8 @@
 
     python check_bundle.py CONSUMERS BUNDLE QUERIES.json
 
-CONSUMERS is the folder of neumip_onnx.py and reference_numpy.py; QUERIES has arrays u, wi, wo [N, 2], level [N] and
-rgb [N, 3]. Both graphs have to pass onnx.checker. Prints one line of JSON: versions, and the largest
+CONSUMERS is the folder of neumip_onnx.py and reference_numpy.py; QUERIES has arrays u, wi, wo [N, 2], level [N],
+rgb [N, 3] and, for a decoder that reads neighbours, images [3]. Both graphs have to pass onnx.checker. Prints one line of JSON: versions, and the largest
 |difference| / (1 + |rgb|) of
 
     material   material.onnx in onnxruntime
@@ -22,7 +22,7 @@ def main(consumers, folder, queries):
     sys.path.insert(0, consumers)
     import onnx
     import onnxruntime
-    from neumip_onnx import INPUTS, Bundle, check_graphs, read_queries
+    from neumip_onnx import INPUTS, Bundle, as_fed, check_graphs, read_queries
     from reference_numpy import Material
 
     class Recording(Material):
@@ -36,14 +36,17 @@ def main(consumers, folder, queries):
         raise RuntimeError("the graphs were not checked")
     queries = read_queries(queries)
     inputs = [queries[name] for name in INPUTS]
+    images = queries.get("images")
     reference = Recording(Path(folder) / "model.safetensors")
-    answers = {"material": Bundle(folder).evaluate(*inputs), "reference": reference.evaluate(*inputs)}
+    answers = {
+        "material": Bundle(folder).evaluate(*inputs, images),
+        "reference": reference.evaluate(*inputs, images),
+    }
     decoder = onnxruntime.InferenceSession(
         str(Path(folder) / "decoder.onnx"), providers=["CPUExecutionProvider"]
     )
-    feeds = dict(zip(("features", *INPUTS), (reference.looked_up, *inputs)))
-    feeds = {name: np.ascontiguousarray(values, np.float32) for name, values in feeds.items()}
-    (answers["decoder"],) = decoder.run(["rgb"], feeds)
+    feeds = as_fed(zip(("features", *INPUTS), (reference.looked_up, *inputs)), images)
+    answers["decoder"] = decoder.run(["rgb"], feeds)[0].reshape(-1, 3)
 
     differences = {}
     for name, rgb in answers.items():

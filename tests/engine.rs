@@ -254,7 +254,7 @@ fn gradients(checkpoint: &Checkpoint, isa: Isa, pieces: &[Block], loss: &Loss) -
     let textures = Textures::new(&plan, levels, offset);
     let mut batch = Batch::new(plan);
     let mut sums = batch.zeros();
-    let value = batch.gradients(&networks, &textures, pieces, loss, &mut sums);
+    let value = batch.gradients(&networks, &textures, pieces, loss, &mut sums).unwrap();
     (value, sums)
 }
 

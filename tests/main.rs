@@ -14,6 +14,7 @@ mod engine;
 mod engines;
 mod generating;
 mod house;
+mod inception;
 mod metrics;
 mod mitsuba;
 mod model;

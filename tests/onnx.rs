@@ -221,13 +221,51 @@ fn graphs_of_every_architecture_answer_as_the_model_does() {
 }
 
 #[test]
+fn graphs_of_images_answer_as_the_model_does_in_every_engine() {
+    type Change = fn(&mut ModelConfig);
+    let cases: [(&str, Change, [usize; 2]); 3] = [
+        ("inception-small", |_| (), [64, 64]),
+        ("inception-small", |m| (m.output.mask, m.texture.finest) = (true, 1), [16, 48]),
+        // Whole tiles of two texels: margins wrap more than once.
+        ("inception-small", |m| m.encoding.u.attenuate = false, [2, 4]),
+    ];
+    for (preset, change, resolution) in cases {
+        let checkpoint = untrained(preset, change, resolution);
+        let folder = bundle(&checkpoint);
+        let read = read_bundle(&folder.path().join("bundle")).unwrap();
+        assert_eq!(read.sidecar.neighbourhood, Some(4));
+        assert!(read.sidecar.graphs[0].inputs.iter().all(|port| port.shape[..3] == ["N", "H", "W"]));
+        let Golden { tolerance, u, wi, wo, level, rgb, images } = read.golden.clone();
+        let queries = QueryBuffer::new(1, rgb.len(), u, wi, wo, level).unwrap();
+        let graph = OnnxMaterial::open(&folder.path().join("bundle/material.onnx")).unwrap();
+        let difference = largest_difference(&graph.answers(&queries, images).unwrap(), &rgb);
+        println!("in-process, {preset} on {resolution:?}, {images:?}: {difference:.2e}, {} lit", lit(&rgb));
+        assert!(difference <= tolerance && lit(&rgb) > rgb.len() / 3, "{difference:e}");
+        // Images of another size wrap elsewhere.
+        let [count, height, width] = images.unwrap();
+        let other = graph.answers(&queries, Some([2 * count, height / 2, width])).unwrap();
+        assert!(height < 4 || largest_difference(&other, &rgb) > tolerance);
+
+        let mut expected = read.golden;
+        let checked = check_in_python(folder.path(), &expected).unwrap();
+        println!("in Python: {checked:?}");
+        for difference in [checked.material, checked.decoder, checked.reference] {
+            assert!(difference <= tolerance, "{checked:?}");
+        }
+        expected.rgb[7][0] += CHANGED_ANSWER;
+        let checked = check_in_python(folder.path(), &expected).unwrap();
+        assert!([checked.material, checked.decoder, checked.reference].iter().all(|d| *d > tolerance));
+    }
+}
+
+#[test]
 fn the_golden_file_is_what_candle_and_the_graph_answer() {
     let checkpoint = trained();
     let folder = bundle(&checkpoint);
     let read = read_bundle(&folder.path().join("bundle")).unwrap();
     assert_eq!(read.checkpoint, checkpoint);
     assert_eq!(read.golden, golden::answers(&checkpoint, golden::QUERIES).unwrap());
-    let Golden { tolerance, u, wi, wo, level, rgb } = read.golden;
+    let Golden { tolerance, u, wi, wo, level, rgb, .. } = read.golden;
     assert_eq!((tolerance, rgb.len()), (TOLERANCE, golden::QUERIES));
     let queries = QueryBuffer::new(1, rgb.len(), u, wi, wo, level).unwrap();
     let graph = OnnxMaterial::open(&folder.path().join("bundle/material.onnx")).unwrap();

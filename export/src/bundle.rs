@@ -260,12 +260,25 @@ fn readme(checkpoint: &Checkpoint, rounded: Option<&TexturePrecision>, planes: u
              {largest:.1e} (1 + |value|), {mean:.1e} (1 + |value|) in the mean."
         ),
     };
+    let (extents, images) = match architecture.neighbourhood() {
+        None => ("N", String::new()),
+        Some(radius) => (
+            "N, H, W",
+            format!(
+                "\n\
+                 The decoder is a convolutional network: an answer depends on all queries within {radius} samples. The graphs\n\
+                 take images of regular grids (one pair of directions and one whole level an image, samples at the centres of\n\
+                 that level's texels) and take each as periodic: give a whole tile, or a part of it with {radius} samples more\n\
+                 on each side, which are cut off the answer. golden.json has such images, one after another.\n"
+            ),
+        ),
+    };
     format!(
         "{name}: a neural material ({height} x {width} texels, {levels} levels)\n\
          \n\
-         {MATERIAL}       the whole material: u, wi, wo [N, 2] and level [N] in, rgb [N, 3] out\n\
+         {MATERIAL}       the whole material: u, wi, wo [{extents}, 2] and level [{extents}] in, rgb [{extents}, 3] out\n\
          {DECODER}        the network alone, for renderers that look the textures up themselves:\n\
-         \x20                   features [N, {channels}] first, then the same inputs\n\
+         \x20                   features [{extents}, {channels}] first, then the same inputs\n\
          *.exr               {planes} files of neural textures: half floats, four channels, mip levels\n\
          {MODEL}   all weights and textures as 32-bit floats\n\
          {SIDECAR}       conventions, interfaces, costs, errors, checksums, how to evaluate step by step\n\
@@ -276,6 +289,7 @@ fn readme(checkpoint: &Checkpoint, rounded: Option<&TexturePrecision>, planes: u
          unit vectors in the local frame (z along the normal). u is the position on the tile and repeats with\n\
          period 1. level is log2 of the footprint in texels. rgb is linear; {measure}.\n\
          {rounding}\n\
+         {images}\
          \n\
          To check this bundle with Python (numpy and onnxruntime): python neumip_onnx.py FOLDER --check\n\
          The script is export/consumers/python/neumip_onnx.py in the neumip repository.\n",

@@ -2,6 +2,10 @@
 //!
 //! The same structs are a preset's `model` object, the checkpoint's `model` object and what the command line overrides.
 
+mod inception;
+
+pub use inception::{Convolution, DECODER, InceptionConfig};
+
 use crate::error::{Error, Result};
 use crate::precision::Precision;
 use serde::{Deserialize, Serialize};
@@ -126,6 +130,8 @@ pub enum DecoderConfig {
         /// Widths of the hidden layers.
         hidden: Vec<usize>,
     },
+    /// Convolutions over images of queries.
+    Inception(InceptionConfig),
 }
 
 /// How outputs become RGB. The result is clamped at 0 outside training.
@@ -241,8 +247,10 @@ impl Architecture {
                 ));
             }
         }
-        let DecoderConfig::Mlp { hidden } = &model.decoder;
-        check_hidden("decoder.hidden", hidden)
+        match &model.decoder {
+            DecoderConfig::Mlp { hidden } => check_hidden("decoder.hidden", hidden),
+            DecoderConfig::Inception(inception) => inception.validate(),
+        }
     }
 
     fn full_levels(&self) -> usize {
@@ -323,10 +331,33 @@ impl Architecture {
         if self.model.output.mask { 6 } else { 3 }
     }
 
-    /// Layer widths of the decoder, inputs and outputs included.
-    pub fn decoder_widths(&self) -> Vec<usize> {
-        let DecoderConfig::Mlp { hidden } = &self.model.decoder;
-        widths(self.decoder_inputs(), hidden, self.decoder_outputs())
+    /// Layer widths of the decoder, inputs and outputs included, where it is fully connected.
+    pub fn decoder_widths(&self) -> Option<Vec<usize>> {
+        match &self.model.decoder {
+            DecoderConfig::Mlp { hidden } => {
+                Some(widths(self.decoder_inputs(), hidden, self.decoder_outputs()))
+            }
+            DecoderConfig::Inception(_) => None,
+        }
+    }
+
+    /// The decoder's convolutions, where it has some.
+    pub fn convolutions(&self) -> Vec<Convolution> {
+        match &self.model.decoder {
+            DecoderConfig::Mlp { .. } => Vec::new(),
+            DecoderConfig::Inception(inception) => {
+                inception.convolutions(self.decoder_inputs(), self.decoder_outputs())
+            }
+        }
+    }
+
+    /// How far away a query may lie that an answer depends on, in samples of the grid; nothing where each answer depends on
+    /// its own query alone.
+    pub fn neighbourhood(&self) -> Option<usize> {
+        match &self.model.decoder {
+            DecoderConfig::Mlp { .. } => None,
+            DecoderConfig::Inception(inception) => Some(inception.radius()),
+        }
     }
 
     /// Channels of the offset texture, where there is one.
@@ -346,7 +377,7 @@ impl Architecture {
     }
 
     /// Names and shapes of all tensors, in the order in which they are initialised:
-    /// textures \[height, width, channels\], weights \[out, in\], biases \[out\].
+    /// textures \[height, width, channels\], weights \[out, in\] (of convolutions \[out, in, side, side\]), biases \[out\].
     pub fn tensors(&self) -> Vec<(String, Vec<usize>)> {
         let mut out = Vec::new();
         for (level, size) in self.level_sizes().iter().enumerate() {
@@ -356,21 +387,20 @@ impl Architecture {
             let [height, width] = self.finest_size();
             out.push((OFFSET_TEXTURE.into(), vec![height, width, offset.channels]));
         }
-        for (prefix, widths) in
-            [(OFFSET_MLP, self.offset_widths().unwrap_or_default()), (DECODER_MLP, self.decoder_widths())]
-        {
-            for (layer, pair) in widths.windows(2).enumerate() {
+        for (prefix, widths) in [(OFFSET_MLP, self.offset_widths()), (DECODER_MLP, self.decoder_widths())] {
+            for (layer, pair) in widths.unwrap_or_default().windows(2).enumerate() {
                 out.push((weight_name(prefix, layer), vec![pair[1], pair[0]]));
                 out.push((bias_name(prefix, layer), vec![pair[1]]));
             }
         }
+        out.extend(self.convolutions().iter().flat_map(Convolution::tensors));
         out
     }
 
     /// Weights and biases of the networks (textures not counted).
     pub fn network_weights(&self) -> usize {
-        let count = |w: &[usize]| w.windows(2).map(|p| p[0] * p[1] + p[1]).sum::<usize>();
-        count(&self.decoder_widths()) + self.offset_widths().map_or(0, |w| count(&w))
+        let tensors = self.tensors();
+        tensors.iter().filter(|(_, shape)| shape.len() != 3).map(|(_, s)| s.iter().product::<usize>()).sum()
     }
 
     /// Texels times channels of all textures.
@@ -394,8 +424,10 @@ impl Architecture {
 
     /// Multiply-adds of the networks times 2, a query.
     pub fn flops_per_query(&self) -> usize {
-        let count = |w: &[usize]| 2 * w.windows(2).map(|p| p[0] * p[1]).sum::<usize>();
-        count(&self.decoder_widths()) + self.offset_widths().map_or(0, |w| count(&w))
+        let count = |w: Vec<usize>| w.windows(2).map(|p| p[0] * p[1]).sum::<usize>();
+        let connected = [self.decoder_widths(), self.offset_widths()].into_iter().flatten().map(count);
+        let convolved = self.convolutions().iter().map(Convolution::products).sum::<usize>();
+        2 * (connected.sum::<usize>() + convolved)
     }
 }
 

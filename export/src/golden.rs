@@ -20,6 +20,9 @@ pub struct Golden {
     pub level: Vec<f32>,
     /// Answers.
     pub rgb: Vec<[f32; 3]>,
+    /// \[N, H, W\] of the images that the entries are, one after another, where the decoder reads neighbours.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub images: Option<[usize; 3]>,
 }
 
 impl Golden {
@@ -34,6 +37,12 @@ impl Golden {
         let n = self.u.len();
         if n == 0 {
             return Err(Error::config("golden.u", "is empty"));
+        }
+        if let Some([count, height, width]) = self.images
+            && count.checked_mul(height).and_then(|rows| rows.checked_mul(width)) != Some(n)
+        {
+            let problem = format!("{count} of {height} x {width} are not the {n} entries of u");
+            return Err(Error::config("golden.images", problem));
         }
         check("u", &self.u, n)?;
         check("wi", &self.wi, n)?;

@@ -3,7 +3,8 @@
 use crate::bundle::BundleFile;
 use crate::checkpoint::{Checkpoint, Header, Measure};
 use crate::config::{
-    Architecture, DirectionEncoding, OFFSET_TEXTURE, OutputSpace, OutputTransform, ParallaxConfig,
+    Architecture, DecoderConfig, DirectionEncoding, InceptionConfig, OFFSET_TEXTURE, OutputSpace,
+    OutputTransform, ParallaxConfig,
 };
 use crate::error::{Error, Result};
 use crate::onnx::{self, Port};
@@ -37,6 +38,10 @@ pub struct Sidecar {
     /// How texture values are stored and what that costs; absent: as 32-bit floats, which costs nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub texture_precision: Option<TexturePrecision>,
+    /// How far away a query may lie that an answer depends on, in samples of a regular grid; absent: each answer depends on
+    /// its own query alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub neighbourhood: Option<usize>,
     /// The error table, of the textures before rounding.
     pub errors: serde_json::Value,
     /// The conventions, in words.
@@ -87,7 +92,7 @@ pub struct GraphFile {
 pub struct GraphPort {
     /// Name.
     pub name: String,
-    /// Extents; `N` is the batch.
+    /// Extents; `N` is the batch, `H` and `W` the rows and columns of its images.
     pub shape: Vec<String>,
     /// What it is.
     pub meaning: String,
@@ -95,7 +100,8 @@ pub struct GraphPort {
 
 impl From<Port> for GraphPort {
     fn from(port: Port) -> Self {
-        let shape = std::iter::once("N".into()).chain(port.columns.iter().map(usize::to_string)).collect();
+        let named = port.layout.extents().iter().map(|name| name.to_string());
+        let shape = named.chain(port.columns.iter().map(usize::to_string)).collect();
         Self { name: port.name.into(), shape, meaning: port.meaning.into() }
     }
 }
@@ -110,11 +116,12 @@ impl Sidecar {
     ) -> Self {
         let Header { architecture, .. } = &checkpoint.header;
         let storage = texture_precision.map_or(Precision::Single, |p| p.storage);
+        let layout = onnx::Layout::of(architecture);
         let graph = |file: &str, inputs: Vec<Port>| GraphFile {
             file: file.into(),
             opset: onnx::OPSET,
             inputs: inputs.into_iter().map(GraphPort::from).collect(),
-            outputs: vec![onnx::output().into()],
+            outputs: vec![onnx::output(layout).into()],
         };
         Self {
             format: FORMAT,
@@ -130,12 +137,13 @@ impl Sidecar {
                 bytes: architecture.bytes_as(storage),
             },
             texture_precision,
+            neighbourhood: architecture.neighbourhood(),
             errors: checkpoint.header.errors.clone(),
-            conventions: conventions(checkpoint.header.measure, storage),
+            conventions: conventions(checkpoint.header.measure, storage, architecture.neighbourhood()),
             evaluate: steps(architecture),
             graphs: vec![
-                graph("decoder.onnx", onnx::decoder_inputs(architecture.model.texture.channels)),
-                graph("material.onnx", onnx::material_inputs()),
+                graph("decoder.onnx", onnx::decoder_inputs(layout, architecture.model.texture.channels)),
+                graph("material.onnx", onnx::material_inputs(layout)),
             ],
             textures,
             architecture: architecture.clone(),
@@ -189,7 +197,7 @@ impl Sidecar {
 }
 
 /// The conventions of the project, for a reader who has nothing else.
-fn conventions(measure: Measure, storage: Precision) -> Vec<String> {
+fn conventions(measure: Measure, storage: Precision, neighbourhood: Option<usize>) -> Vec<String> {
     let rgb = match measure {
         Measure::RadianceCosine => {
             "RGB is linear and is f cos(theta_i) averaged over the footprint: the radiance under a distant light \
@@ -216,7 +224,16 @@ fn conventions(measure: Measure, storage: Precision) -> Vec<String> {
              before rounding.",
         );
     }
-    conventions.into_iter().map(String::from).collect()
+    let mut conventions: Vec<String> = conventions.into_iter().map(String::from).collect();
+    conventions.extend(neighbourhood.map(|radius| {
+        format!(
+            "An answer depends on all queries within {radius} samples, so the graphs take images [N, H, W] of regular grids: \
+             one pair of directions and one whole level l an image, samples 2^l texels apart at the centres of that level's \
+             texels. The graphs take every image as periodic: give a whole tile, or a part with {radius} samples more on \
+             each side, which are cut off the answer."
+        )
+    }));
+    conventions
 }
 
 /// How a query is answered, with this material's numbers.
@@ -248,9 +265,15 @@ fn steps(architecture: &Architecture) -> Vec<String> {
     }
     steps.push(encoding_step(architecture));
     steps.push(format!(
-        "Decoder: input [features, u encoding, wi encoding, wo encoding] ({} values), layers relu(W x + b), the last \
-         one linear. Networks in order of layers: decoder.mlp.0.weight [out, in], decoder.mlp.0.bias [out], ...",
-        architecture.decoder_inputs()
+        "Decoder: input [features, u encoding, wi encoding, wo encoding] ({} values), {}",
+        architecture.decoder_inputs(),
+        match &model.decoder {
+            DecoderConfig::Mlp { .. } =>
+                "layers relu(W x + b), the last one linear. Networks in order of layers: decoder.mlp.0.weight [out, in], \
+                 decoder.mlp.0.bias [out], ..."
+                    .into(),
+            DecoderConfig::Inception(inception) => decoder_step(inception),
+        }
     ));
     let mut output = String::from("Output: the first three values y.");
     if model.output.space == OutputSpace::Yuv {
@@ -265,6 +288,18 @@ fn steps(architecture: &Architecture) -> Vec<String> {
     output += " Then max(x, 0); 0 where wi or wo is on or below the horizon.";
     steps.push(output);
     steps
+}
+
+fn decoder_step(inception: &InceptionConfig) -> String {
+    let InceptionConfig { width, modules, paths: [one, three, five, most], reduce: [to_three, to_five] } =
+        inception;
+    format!(
+        "convolved over periodic images. decoder.in.weight [{width}, in, 1, 1] and bias; then {modules} modules whose four \
+         paths are joined: path1 is 1x1 to {one} channels; path2.reduce is 1x1 to {to_three} and path2 3x3 to {three}; \
+         path3.reduce is 1x1 to {to_five} and path3 5x5 to {five}; path4 is 1x1 to {most} of the largest of 3x3; then \
+         decoder.out, 1x1. relu after every convolution but the last. Tensors: decoder.module0.path2.reduce.weight \
+         [out, in, side, side], ..."
+    )
 }
 
 fn encoding_step(architecture: &Architecture) -> String {

@@ -10,7 +10,7 @@ use crate::kernels::simd::{Simd, Work};
 pub(super) const LEAST_Z: f32 = 2e-4;
 
 /// Levels by which maps are read finer than the footprint: what interpolation blurs.
-const SHADE_BIAS: f32 = -0.85;
+const SHADE_BIAS: f32 = -1.0;
 const HEIGHT_BIAS: f32 = -1.0;
 /// Heights read between the last step above the surface and the first below it.
 const REFINEMENTS: usize = 1;

@@ -10,6 +10,9 @@
 //! within a footprint widen the lobe and soften the diffuse part (after LEAN mapping, Olano and Baker 2010, and LEADR
 //! mapping, Dupuy et al. 2013), and shadows have soft borders. Light that has bounced off the material is a map as well,
 //! baked from the reference: a colour that knows neither viewer nor light but for the light's elevation.
+//!
+//! Arrays of vectors are indexed by number on purpose: iterators over them leave the registers now and then.
+#![allow(clippy::needless_range_loop, clippy::manual_memcpy)]
 
 mod indirect;
 mod maps;

@@ -161,11 +161,15 @@ impl Subject {
     /// Multiply-adds of the networks times 2 for a query, and how many of them do not depend on wi.
     pub(super) fn operations(&self) -> (f64, f64) {
         let architecture = &self.architecture;
-        let decoder = architecture.decoder_widths();
+        let decoder = architecture.decoder_widths().unwrap_or_default();
         let of_decoder: usize = decoder.windows(2).map(|w| 2 * w[0] * w[1]).sum();
         let of_wi = architecture.direction_inputs(&architecture.model.encoding.wi);
         let all = architecture.flops_per_query();
-        (all as f64, (all - of_decoder + 2 * (decoder[0] - of_wi) * decoder[1]) as f64)
+        let of_first = match &decoder[..] {
+            [inputs, outputs, ..] => 2 * (inputs - of_wi) * outputs,
+            _ => 0,
+        };
+        (all as f64, (all - of_decoder + of_first) as f64)
     }
 }
 

@@ -5,11 +5,11 @@ use crate::checkpoint;
 use crate::config::EngineKind;
 use crate::dataset::{Dataset, SplitName};
 use crate::error::{Error, Result};
-use crate::evaluate::{Cost, Row, TIMED_QUERIES, costs, error_table};
+use crate::evaluate::{Cost, Row, TIMED_QUERIES, costs, error_table, motion_table, refusal, view_table};
 use crate::inference::{Answerer, answerer};
 use crate::lpips::Lpips;
 use crate::model;
-use crate::query::Reflectance;
+use crate::query::{Reflectance, Support};
 use clap::Args;
 use neumip_export::Precision;
 use serde::Serialize;
@@ -155,11 +155,20 @@ pub fn evaluate(
         let mut rows = Vec::new();
         for (done, split) in splits.iter().enumerate() {
             meter.update(done as u64, split.as_str());
-            rows.extend(error_table(&*material, data, std::slice::from_ref(split), by.lpips)?);
+            match refusal(&*material, data, *split)? {
+                Some(why) => console.say(format!("{}: {why}", run.display())),
+                None => rows.extend(error_table(&*material, data, std::slice::from_ref(split), by.lpips)?),
+            }
             console.check("no table was written")?;
         }
-        rows.extend(crate::evaluate::view_table(&*material, data, by.lpips)?);
-        rows.extend(crate::evaluate::motion_table(&*material, data, by.lpips)?);
+        rows.extend(view_table(&*material, data, by.lpips)?);
+        rows.extend(motion_table(&*material, data, by.lpips)?);
+        if material.support() != Support::Pointwise && !data.manifest().views.is_empty() {
+            console.say(format!(
+                "{}: views and their sequences are left out: they are no regular grids",
+                run.display()
+            ));
+        }
         meter.finish(splits.len() as u64);
         let samples = checkpoint.header.provenance.get("samples").and_then(serde_json::Value::as_f64);
         let texels = (architecture.resolution[0] * architecture.resolution[1]) as f64;
@@ -226,18 +235,24 @@ pub fn text_table(evaluations: &[Evaluation]) -> String {
             out += &format!(" {name:>width$}");
         }
     }
-    let Some(first) = evaluations.first() else {
-        return out;
-    };
+    // A decoder that reads neighbours has no rows for what is no regular grid.
+    let mut lines: Vec<&Row> = Vec::new();
+    let same = |a: &Row, b: &Row| a.split == b.split && a.level == b.level;
+    for row in evaluations.iter().flat_map(|e| &e.rows) {
+        if !lines.iter().any(|line| same(line, row)) {
+            lines.push(row);
+        }
+    }
     let number = |v: Option<f64>, digits: usize| v.map_or("-".to_string(), |v| format!("{v:.digits$}"));
-    for (i, row) in first.rows.iter().enumerate() {
+    for row in lines {
         let level = row.level.map_or("all".into(), |l| l.to_string());
         let noise = number(row.noise.map(|v| v * MILLI), 4);
         out += &format!("\n{:<split_width$} {level:>5} {noise:>9}", row.split);
-        for r in evaluations.iter().filter_map(|e| e.rows.get(i)) {
+        for e in evaluations {
+            let r = e.rows.iter().find(|r| same(r, row));
             out += " |";
             for Column { width, digits, of, .. } in &shown {
-                out += &format!(" {:>width$}", number(of(r), *digits));
+                out += &format!(" {:>width$}", number(r.and_then(of), *digits));
             }
         }
     }

@@ -3,7 +3,7 @@
 use super::console::Console;
 use crate::error::{Error, Result};
 use crate::onnx_material::{OnnxMaterial, largest_difference};
-use crate::query::{QueryBuffer, Reflectance};
+use crate::query::QueryBuffer;
 use crate::{checkpoint, golden};
 use clap::Args;
 use neumip_export::bundle::MATERIAL;
@@ -102,9 +102,9 @@ fn checked(
 /// Runs the graph that is about to be written as `path`.
 fn difference(checkpoint: &Checkpoint, textures: Precision, golden: &Golden, path: &Path) -> Result<f64> {
     let graph = OnnxMaterial::from_bytes(path, onnx::material_graph_as(checkpoint, textures)?)?;
-    let Golden { u, wi, wo, level, rgb, tolerance } = golden.clone();
+    let Golden { u, wi, wo, level, rgb, tolerance, images } = golden.clone();
     let queries = QueryBuffer::new(1, level.len(), u, wi, wo, level)?;
-    let difference = largest_difference(&graph.evaluate(&queries)?.pixels, &rgb);
+    let difference = largest_difference(&graph.answers(&queries, images)?, &rgb);
     if difference.is_nan() || difference > tolerance {
         let problem = format!("would answer {difference:.1e} (1 + |value|) off, more than {tolerance:.0e}");
         return Err(Error::file(path, problem));

@@ -75,7 +75,7 @@ pub enum EngineKind {
 const MOST_EVERY: u64 = 4096;
 
 /// Names of the built-in presets.
-pub const PRESETS: [&str; 3] = ["neumip", "paper", "improved"];
+pub const PRESETS: [&str; 5] = ["neumip", "paper", "improved", "inception", "inception-small"];
 
 impl Config {
     /// A built-in preset by name, or a preset file.
@@ -87,6 +87,8 @@ impl Config {
             "neumip" => include_str!("../presets/neumip.json").to_string(),
             "paper" => include_str!("../presets/paper.json").to_string(),
             "improved" => include_str!("../presets/improved.json").to_string(),
+            "inception" => include_str!("../presets/inception.json").to_string(),
+            "inception-small" => include_str!("../presets/inception-small.json").to_string(),
             path if path.ends_with(".json") => std::fs::read_to_string(path)
                 .map_err(|e| Error::file(path, format!("cannot read preset: {e}")))?,
             _ => {

@@ -21,6 +21,7 @@ mod frame;
 mod from_reference;
 mod generate;
 mod grid;
+mod images;
 mod measure;
 mod motion;
 mod nearest;

@@ -1,7 +1,7 @@
 //! Opening a dataset folder: everything is checked before anything is believed.
 
 use super::{
-    block::Block,
+    block::{Block, Layout},
     files::HEIGHTS,
     folder::check_bytes,
     format::{MANIFEST, Manifest, SplitInfo, SplitName},
@@ -194,17 +194,28 @@ impl Split {
         )
     }
 
+    /// What is asked in the blocks of a file.
+    ///
+    /// # Errors
+    /// `Usage` if there is no such file, `File` if it is missing or damaged.
+    pub fn layouts(&self, file: usize) -> Result<Vec<Layout>> {
+        if file >= self.files() {
+            return Err(self.no_file(file));
+        }
+        Ok(self.read_rows(file)?.into_iter().map(|row| row.layout).collect())
+    }
+
+    fn no_file(&self, file: usize) -> Error {
+        Error::usage(format!("split {} has {} files, no file {file}", self.name, self.files()))
+    }
+
     /// Reads the blocks of a file.
     ///
     /// # Errors
     /// `Usage` if there is no such file, `File` if it is missing or damaged or a value is not finite.
     pub fn read_file(&self, file: usize) -> Result<Vec<Block>> {
         let Some(info) = self.info.files.get(file) else {
-            return Err(Error::usage(format!(
-                "split {} has {} files, no file {file}",
-                self.name,
-                self.files()
-            )));
+            return Err(self.no_file(file));
         };
         let (side, path) = (self.info.side, self.path(file, "exr"));
         let rows = self.read_rows(file)?;

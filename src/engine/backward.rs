@@ -10,7 +10,7 @@ use crate::kernels::{output, rows};
 /// Room for gradients of activations.
 #[derive(Debug, Default)]
 pub(super) struct Room {
-    here: Vec<f32>,
+    pub here: Vec<f32>,
     next: Vec<f32>,
 }
 
@@ -46,7 +46,6 @@ pub(super) fn backward(
     room: &mut Room,
 ) {
     let (stride, isa) = (tile.stride, plan.isa);
-    let [pyramid, offset] = records;
     let (of_offset, of_decoder) = weights.split_at_mut(networks.offset.iter().map(size).sum());
     room.here.resize(tile.outputs.len(), 0.0);
     output::gradient(isa, plan.output, stride, &tile.outputs, by_rgb, &mut room.here);
@@ -60,6 +59,19 @@ pub(super) fn backward(
         room,
         isa,
     );
+    features_backward(tile, plan, networks, of_offset, records, room);
+}
+
+/// Goes back from the decoder's inputs: `room.here` is the gradient of the features.
+pub(super) fn features_backward(
+    tile: &mut Tile,
+    plan: &Plan,
+    networks: &Networks,
+    of_offset: &mut [f32],
+    [pyramid, offset]: [&mut Record; 2],
+    room: &mut Room,
+) {
+    let (stride, isa) = (tile.stride, plan.isa);
     pyramid.set(plan, stride, plan.channels(), &mut tile.pyramid_taps, &room.here);
     if let Some((channels, _)) = plan.offset {
         room.next.resize(stride, 0.0);
@@ -81,7 +93,7 @@ pub(super) fn backward(
 }
 
 /// Weights and biases of a layer.
-fn size(layer: &Packed) -> usize {
+pub(super) fn size(layer: &Packed) -> usize {
     (layer.inputs() + 1) * layer.outputs()
 }
 

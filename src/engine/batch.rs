@@ -7,9 +7,11 @@
 use super::backward::{Record, Room, backward};
 use super::networks::Networks;
 use super::plan::Plan;
+use super::studio::Studio;
 use super::textures::Textures;
 use super::tile::{Queries, Tile, stride_of};
 use crate::dataset::Block;
+use crate::error::Result;
 use crate::kernels::fetch::{Owned, padded};
 use crate::kernels::loss::{self, Term};
 use rayon::prelude::*;
@@ -55,6 +57,7 @@ pub struct Batch {
     weights: usize,
     chunks: Vec<Chunk>,
     workers: Mutex<Vec<Worker>>,
+    studio: Studio,
 }
 
 /// What one chunk gives.
@@ -83,7 +86,7 @@ impl Batch {
     /// Room for steps of a model.
     pub fn new(plan: Plan) -> Self {
         let weights = plan.architecture.network_weights();
-        Self { plan, weights, chunks: Vec::new(), workers: Mutex::new(Vec::new()) }
+        Self { plan, weights, chunks: Vec::new(), workers: Mutex::new(Vec::new()), studio: Studio::default() }
     }
 
     /// The plan.
@@ -104,6 +107,9 @@ impl Batch {
 
     /// The loss of a batch. Its gradients by the weights replace those of `sums`; those by the texels are added.
     ///
+    /// # Errors
+    /// `Config` for pieces that are too large for a decoder that reads neighbours.
+    ///
     /// # Panics
     /// If the networks, textures or sums are those of another plan, or the pieces differ in side.
     pub fn gradients(
@@ -113,7 +119,12 @@ impl Batch {
         pieces: &[Block],
         loss: &Loss,
         sums: &mut Sums,
-    ) -> f64 {
+    ) -> Result<f64> {
+        if self.plan.architecture.neighbourhood().is_some() {
+            let total = self.studio.gradients(&self.plan, networks, textures, pieces, loss, sums)?;
+            scatter(&self.plan, self.studio.records(), loss, sums);
+            return Ok(total);
+        }
         let samples = |p: &Block| p.side() * p.side();
         let total: usize = pieces.iter().map(samples).sum();
         let largest = pieces.first().map_or(1, samples);
@@ -134,32 +145,38 @@ impl Batch {
             }
         });
         let chunks = &self.chunks[..count];
-        self.scatter(chunks, loss, sums);
+        scatter(&self.plan, chunks.iter().flat_map(|c| &c.records[..c.used]), loss, sums);
         sums.networks.fill(0.0);
         for chunk in chunks {
             sums.networks.iter_mut().zip(&chunk.weights).for_each(|(sum, part)| *sum += part);
         }
-        chunks.iter().map(|c| c.loss).sum()
+        Ok(chunks.iter().map(|c| c.loss).sum())
     }
+}
 
-    fn scatter(&self, chunks: &[Chunk], loss: &Loss, sums: &mut Sums) {
-        let threads = rayon::current_num_threads();
-        let wide = [padded(self.plan.channels()), self.plan.offset.map_or(8, |(c, _)| padded(c))];
-        let mut owners = Vec::new();
-        for (which, table) in [&mut sums.pyramid, &mut sums.offset].into_iter().enumerate() {
-            if which == 0 || (loss.offset_texture && self.plan.offset.is_some()) {
-                owners.extend(Owned::split(table, wide[which], threads).into_iter().map(|o| (which, o)));
+/// Adds what records hold, in their order, to the tables of gradients.
+fn scatter<'a>(
+    plan: &Plan,
+    records: impl Iterator<Item = &'a [Record; 2]> + Clone + Sync,
+    loss: &Loss,
+    sums: &mut Sums,
+) {
+    let threads = rayon::current_num_threads();
+    let wide = [padded(plan.channels()), plan.offset.map_or(8, |(c, _)| padded(c))];
+    let mut owners = Vec::new();
+    for (which, table) in [&mut sums.pyramid, &mut sums.offset].into_iter().enumerate() {
+        if which == 0 || (loss.offset_texture && plan.offset.is_some()) {
+            owners.extend(Owned::split(table, wide[which], threads).into_iter().map(|o| (which, o)));
+        }
+    }
+    owners.par_iter_mut().for_each(|(which, owned)| {
+        for record in records.clone() {
+            let Record { taps, gradients } = &record[*which];
+            for of_level in taps.chunks((gradients.len() / wide[*which]).max(1)) {
+                owned.scatter(plan.isa, of_level, gradients);
             }
         }
-        owners.par_iter_mut().for_each(|(which, owned)| {
-            for record in chunks.iter().flat_map(|c| &c.records[..c.used]) {
-                let Record { taps, gradients } = &record[*which];
-                for of_level in taps.chunks((gradients.len() / wide[*which]).max(1)) {
-                    owned.scatter(self.plan.isa, of_level, gradients);
-                }
-            }
-        });
-    }
+    });
 }
 
 impl Worker {

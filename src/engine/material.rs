@@ -1,5 +1,6 @@
 //! A trained model that answers query buffers through the fused kernels.
 
+use super::images::Canvas;
 use super::networks::Networks;
 use super::plan::{Order, Plan};
 use super::textures::{Table, Textures};
@@ -7,11 +8,13 @@ use super::tile::{Queries, Tile, stride_of};
 use crate::error::{Error, Result};
 use crate::kernels::rows;
 use crate::kernels::simd::Isa;
-use crate::query::{QueryBuffer, Reflectance, RgbImage, above_horizon};
+use crate::query::grid::{self, Mosaic};
+use crate::query::{QueryBuffer, Reflectance, RgbImage, Support, above_horizon};
 use neumip_export::checkpoint::Checkpoint;
 use neumip_export::config::{Architecture, OFFSET_TEXTURE, texture_name};
 use neumip_export::{Precision, Tensor};
 use rayon::prelude::*;
+use std::cell::RefCell;
 use std::collections::BTreeMap;
 
 /// Samples of a tile: the decoder's input and one layer's outputs stay in the first-level cache.
@@ -84,7 +87,11 @@ impl FusedMaterial {
             Some(t) => Ok(t.data.clone()),
             None => Err(Error::config(name, "this tensor is missing")),
         };
-        let plan = Plan::new(architecture, isa, Order::LightLast);
+        let order = match architecture.neighbourhood() {
+            Some(_) => Order::Stored,
+            None => Order::LightLast,
+        };
+        let plan = Plan::new(architecture, isa, order);
         let table = |name: &str, channels: usize| -> Result<Table> {
             Ok(match precision {
                 Precision::Single => Table::Single(values(name)?),
@@ -116,8 +123,11 @@ impl FusedMaterial {
     /// Does everything that does not depend on wi, for queries at positions `u` and `level`, seen from `wo`.
     ///
     /// # Errors
-    /// `Config` if the slices differ in length or a value is not finite.
+    /// `Config` if the slices differ in length or a value is not finite, or if the decoder reads neighbours.
     pub fn prepare(&self, u: &[[f32; 2]], level: &[f32], wo: &[[f32; 2]]) -> Result<Prepared> {
+        if self.networks.inception.is_some() {
+            return Err(Error::config("decoder.kind", "inception answers images, not queries one by one"));
+        }
         let light = vec![[0.0; 2]; u.len()];
         let queries = QueryBuffer::new(1, u.len(), u.to_vec(), light, wo.to_vec(), level.to_vec())?;
         let textures = self.textures();
@@ -167,18 +177,34 @@ impl FusedMaterial {
                 rows::split(self.plan.isa, &wi[at..at + out.len()], false, x, y);
                 tile.light(&self.plan, &self.networks);
                 let lit = |k: usize| prepared.visible[at + k] && above_horizon(wi[at + k]);
-                write(tile, lit, out);
+                write(&tile.rgb, lit, out);
             }
         });
         finite(&pixels)?;
         Ok(pixels)
     }
 
+    /// Answers images of queries, each taken as periodic.
+    fn images(&self, canvas: &mut Canvas, queries: &QueryBuffer, mosaic: Mosaic) -> Result<Vec<[f32; 3]>> {
+        canvas.queries.resize(stride_of(queries.len()));
+        self.fill(&mut canvas.queries, queries, 0, queries.len());
+        canvas.forward(&self.plan, &self.networks, &self.textures(), mosaic, false)?;
+        let lit = |k: usize| above_horizon(queries.wi[k]) && above_horizon(queries.wo[k]);
+        let mut pixels = vec![[0.0; 3]; queries.len()];
+        write(&canvas.rgb, lit, &mut pixels);
+        Ok(pixels)
+    }
+
     /// Fills a tile with the queries `start..end`.
     fn load(&self, tile: &mut Tile, queries: &QueryBuffer, start: usize, end: usize) {
-        let stride = stride_of(end - start);
-        tile.resize(&self.plan, &self.networks, stride, false);
-        let Queries { u, level, wi, wo } = &mut tile.queries;
+        tile.resize(&self.plan, &self.networks, stride_of(end - start), false);
+        self.fill(&mut tile.queries, queries, start, end);
+    }
+
+    /// Fills rows with the queries `start..end`.
+    fn fill(&self, rows: &mut Queries, queries: &QueryBuffer, start: usize, end: usize) {
+        let stride = rows.level.len();
+        let Queries { u, level, wi, wo } = rows;
         for (rows, pairs, wrap) in [(u, &queries.u, true), (wi, &queries.wi, false), (wo, &queries.wo, false)]
         {
             let (x, y) = rows.split_at_mut(stride);
@@ -192,10 +218,10 @@ impl FusedMaterial {
     }
 }
 
-/// The answers of a tile: not below 0, and 0 where `lit` is false.
-fn write(tile: &Tile, lit: impl Fn(usize) -> bool, out: &mut [[f32; 3]]) {
-    let (red, rest) = tile.rgb.split_at(tile.stride);
-    let (green, blue) = rest.split_at(tile.stride);
+/// The answers in rows \[3\]\[stride\]: not below 0, and 0 where `lit` is false.
+fn write(rgb: &[f32], lit: impl Fn(usize) -> bool, out: &mut [[f32; 3]]) {
+    let (red, rest) = rgb.split_at(rgb.len() / 3);
+    let (green, blue) = rest.split_at(rgb.len() / 3);
     for (k, (pixel, ((red, green), blue))) in out.iter_mut().zip(red.iter().zip(green).zip(blue)).enumerate()
     {
         if lit(k) {
@@ -213,7 +239,19 @@ fn finite(pixels: &[[f32; 3]]) -> Result<()> {
 }
 
 impl Reflectance for FusedMaterial {
+    fn support(&self) -> Support {
+        Support::of(self.plan.architecture.neighbourhood(), self.plan.architecture.resolution)
+    }
+
     fn evaluate(&self, queries: &QueryBuffer) -> Result<RgbImage> {
+        let (height, width) = (queries.height(), queries.width());
+        if let Support::Neighbourhood { radius, resolution } = self.support() {
+            let canvas = RefCell::new(Canvas::default());
+            let images = |q: &QueryBuffer, mosaic| self.images(&mut canvas.borrow_mut(), q, mosaic);
+            let pixels = grid::answer(queries, radius, resolution, &images)?;
+            finite(&pixels)?;
+            return Ok(RgbImage { height, width, pixels });
+        }
         let mut pixels = vec![[0.0f32; 3]; queries.len()];
         let textures = self.textures();
         pixels.par_chunks_mut(CHUNK).enumerate().for_each_init(Tile::default, |tile, (chunk, out)| {
@@ -222,10 +260,10 @@ impl Reflectance for FusedMaterial {
                 self.load(tile, queries, at, at + out.len());
                 tile.forward(&self.plan, &self.networks, &textures);
                 let lit = |k: usize| above_horizon(queries.wi[at + k]) && above_horizon(queries.wo[at + k]);
-                write(tile, lit, out);
+                write(&tile.rgb, lit, out);
             }
         });
         finite(&pixels)?;
-        Ok(RgbImage { height: queries.height(), width: queries.width(), pixels })
+        Ok(RgbImage { height, width, pixels })
     }
 }

@@ -6,14 +6,17 @@
 //!   │                                                        │
 //! Tile ─ forward: offset, lookup, encoding, decoder, output; backward: the same in reverse
 //!   │
+//!   ├──── Canvas ─ images of tiles, for a decoder that reads neighbours
 //! FusedMaterial ─ answers query buffers                     Batch ─ loss and gradients of a training step
 //! ```
 
 mod backward;
 mod batch;
+mod images;
 mod material;
 mod networks;
 mod plan;
+mod studio;
 #[cfg(test)]
 mod tests;
 mod textures;

@@ -137,7 +137,7 @@ impl Tile {
     }
 
     /// The decoder's input, gamma(wi) only if asked for. Encodings are computed while texels are on their way.
-    fn view(&mut self, plan: &Plan, networks: &Networks, textures: &Textures, light: bool) {
+    pub fn view(&mut self, plan: &Plan, networks: &Networks, textures: &Textures, light: bool) {
         let (stride, isa) = (self.stride, plan.isa);
         let parallax = plan.offset.zip(textures.offset.as_ref());
         if let Some(((channels, _), texture)) = parallax {

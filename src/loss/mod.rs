@@ -8,14 +8,17 @@ mod tests;
 use crate::config::{Term, TermKind};
 use crate::error::Result;
 use candle_core::{Device, Tensor};
+use std::ops::Range;
 
 /// What a batch is compared with: K pieces of side P.
 pub struct Target {
     /// Reference RGB \[K, P, P, 3\].
     rgb: Tensor,
+    /// 1 at the pixels of each piece that count \[K, P, P, 1\], where not all do.
+    counted: Option<Tensor>,
     /// Weight of each piece \[K, 1, 1, 1\]: 0 where its level is left out of the step.
     weight: Tensor,
-    /// 1 at the interior pixels of each patch \[K, P - 2, P - 2, 1\], where P > 2.
+    /// 1 at the interior pixels of each patch's part that counts \[K, P - 2, P - 2, 1\], where P > 2.
     interior: Option<Tensor>,
     means: Means,
 }
@@ -30,47 +33,66 @@ pub struct Means {
 }
 
 impl Means {
-    /// The counts of pieces of side `side` with the given patch sides.
-    pub fn of(side: usize, patches: impl Iterator<Item = usize>) -> Self {
+    /// The counts of pieces of side `side` with the given patches.
+    pub fn of(side: usize, patches: impl Iterator<Item = Patches>) -> Self {
         let mut means = Self { pixels: 0, interior: 0 };
-        for patch in patches {
-            means.pixels += side * side;
-            means.interior += (side / patch * patch.saturating_sub(2)).pow(2);
+        for Patches { side: patch, margin } in patches {
+            let across = side / patch;
+            means.pixels += (across * patch.saturating_sub(2 * margin)).pow(2);
+            means.interior += (across * patch.saturating_sub(2 * margin + 2)).pow(2);
         }
         means
     }
 }
 
+/// The patches of a piece.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Patches {
+    /// Side of each.
+    pub side: usize,
+    /// Pixels along the border of each that do not count.
+    pub margin: usize,
+}
+
+impl Patches {
+    /// True where a row or column is at least `more` pixels inside the part of its patch that counts.
+    fn inside(self, x: usize, more: usize) -> bool {
+        let border = self.margin + more;
+        let x = x % self.side;
+        x >= border && x + border < self.side
+    }
+
+    /// 1 for the pixels of a range of rows and columns that are so far inside, 0 for the others.
+    fn mask(self, range: Range<usize>, more: usize, mask: &mut Vec<f32>) {
+        for row in range.clone() {
+            mask.extend(range.clone().map(|x| f32::from(self.inside(row, more) && self.inside(x, more))));
+        }
+    }
+}
+
 impl Target {
-    /// The target of pieces of side `side`: RGB of all their pixels row by row, the side of each one's patches, its weight.
+    /// The target of pieces of side `side`: RGB of all their pixels row by row, each one's patches, its weight.
     ///
     /// # Errors
     /// Whatever candle refuses.
     pub fn new(
         rgb: Vec<[f32; 3]>,
         side: usize,
-        patches: &[usize],
+        patches: &[Patches],
         weights: &[f32],
         means: Means,
         device: &Device,
     ) -> Result<Self> {
         let k = patches.len();
-        let interior =
-            if side > 2 && means.interior > 0 {
-                let inside = |x: usize, patch: usize| (1..patch - 1).contains(&(x % patch));
-                let mut mask = Vec::with_capacity(k * (side - 2) * (side - 2));
-                for &patch in patches {
-                    for row in 1..side - 1 {
-                        mask.extend((1..side - 1).map(|column| {
-                            f32::from(patch > 2 && inside(row, patch) && inside(column, patch))
-                        }));
-                    }
-                }
-                Some(Tensor::from_vec(mask, (k, side - 2, side - 2, 1), device)?)
-            } else {
-                None
-            };
+        let mask = |range: Range<usize>, more: usize| -> Result<Tensor> {
+            let mut mask = Vec::with_capacity(k * range.len() * range.len());
+            patches.iter().for_each(|patches| patches.mask(range.clone(), more, &mut mask));
+            Ok(Tensor::from_vec(mask, (k, range.len(), range.len(), 1), device)?)
+        };
+        let cropped = patches.iter().any(|patches| patches.margin > 0);
+        let interior = (side > 2 && means.interior > 0).then(|| mask(1..side - 1, 1)).transpose()?;
         Ok(Self {
+            counted: cropped.then(|| mask(0..side, 0)).transpose()?,
             rgb: Tensor::from_vec(rgb.into_flattened(), (k, side, side, 3), device)?,
             weight: Tensor::from_slice(weights, (k, 1, 1, 1), device)?,
             interior,
@@ -87,9 +109,13 @@ impl Target {
         let mut total: Option<Tensor> = None;
         for term in terms {
             let difference = (remap::apply(&prediction, term.remap)? - remap::apply(&self.rgb, term.remap)?)?;
+            let counted = |errors: Tensor| match &self.counted {
+                Some(mask) => errors.broadcast_mul(mask),
+                None => Ok(errors),
+            };
             let (errors, count) = match (term.kind, &self.interior) {
-                (TermKind::L1, _) => (difference.abs()?, 3 * self.means.pixels),
-                (TermKind::L2, _) => (difference.sqr()?, 3 * self.means.pixels),
+                (TermKind::L1, _) => (counted(difference.abs()?)?, 3 * self.means.pixels),
+                (TermKind::L2, _) => (counted(difference.sqr()?)?, 3 * self.means.pixels),
                 (TermKind::Gradient, Some(mask)) => {
                     (gradient::squared(&difference)?.broadcast_mul(mask)?, 3 * self.means.interior)
                 }

@@ -1,6 +1,6 @@
 //! Every term and remap against float64: values by direct sums over patches, gradients by central differences.
 
-use super::{Means, Target};
+use super::{Means, Patches, Target};
 use crate::config::{Remap, Term, TermKind};
 use crate::random::{Random, Stream};
 use candle_core::{Device, Tensor, Var};
@@ -11,10 +11,14 @@ const TOLERANCE: f64 = 2e-4;
 const STEP: f64 = 1e-6;
 
 const SIDE: usize = 8;
-/// One piece of a single patch, one of four, one of sixteen without interior pixels.
-const PATCHES: [usize; 3] = [8, 4, 2];
-const WEIGHTS: [f32; 3] = [1.0, 1.0, 0.0];
+/// One piece of a single patch, one of four, one of sixteen without interior pixels, one whose border does not count.
+const PATCHES: [Patches; 4] = [of_side(8, 0), of_side(4, 0), of_side(2, 0), of_side(8, 2)];
+const WEIGHTS: [f32; 4] = [1.0, 1.0, 0.0, 1.0];
 const PIXELS: usize = PATCHES.len() * SIDE * SIDE;
+
+const fn of_side(side: usize, margin: usize) -> Patches {
+    Patches { side, margin }
+}
 
 fn remap64(x: f64, remap: Remap) -> f64 {
     let signed = |e: f64, p: f64| x.signum() * ((x.abs() + e).powf(p) - e.powf(p));
@@ -34,15 +38,22 @@ fn term64(term: Term, prediction: &[f64], target: &[f64]) -> f64 {
         let k = ((piece * SIDE + row) * SIDE + column) * 3 + c;
         remap64(prediction[k], term.remap) - remap64(target[k], term.remap)
     };
-    let (mut sum, mut interior) = (0.0, 0usize);
-    for (piece, patch) in PATCHES.into_iter().enumerate() {
+    let (mut sum, mut interior, mut counted) = (0.0, 0usize, 0usize);
+    for (piece, Patches { side: patch, margin }) in PATCHES.into_iter().enumerate() {
         let weight = f64::from(WEIGHTS[piece]);
         for row in 0..SIDE {
             for column in 0..SIDE {
                 let pixelwise =
                     |f: fn(f64) -> f64| (0..3).map(|c| f(difference(piece, row, column, c))).sum::<f64>();
-                let inside = [row, column].iter().all(|x| x % patch > 0 && x % patch + 1 < patch);
+                let within = |border: usize| {
+                    [row, column].iter().all(|x| x % patch >= border && x % patch + border < patch)
+                };
+                if !within(margin) {
+                    continue;
+                }
+                let inside = within(margin + 1);
                 interior += usize::from(inside);
+                counted += 1;
                 sum += weight
                     * match term.kind {
                         TermKind::L1 => pixelwise(f64::abs),
@@ -68,7 +79,7 @@ fn term64(term: Term, prediction: &[f64], target: &[f64]) -> f64 {
         }
     }
     let count = match term.kind {
-        TermKind::L1 | TermKind::L2 => 3 * PIXELS,
+        TermKind::L1 | TermKind::L2 => 3 * counted,
         TermKind::Gradient => 3 * interior,
         TermKind::GradientLuma => interior,
     };
@@ -179,6 +190,6 @@ fn parts_of_a_batch_add_up_to_the_whole() {
         let tensor = Tensor::from_vec(values, (pixels.len(), 3), &Device::Cpu).unwrap();
         stored.loss(&tensor, &terms).unwrap().to_scalar().unwrap()
     };
-    let (whole, parts) = (part(0..3), part(0..1) + part(1..2) + part(2..3));
+    let (whole, parts) = (part(0..4), part(0..1) + part(1..2) + part(2..4));
     assert!((whole - parts).abs() < 1e-6 * whole, "{whole} {parts}");
 }

@@ -3,6 +3,7 @@
 
 use crate::error::Result;
 use crate::kernels::{encoding, taps};
+use crate::query::grid::Mosaic;
 use crate::query::unit;
 use candle_core::{Device, Tensor};
 use neumip_export::config::{Architecture, DirectionEncoding, ParallaxConfig};
@@ -21,6 +22,8 @@ pub struct Inputs {
     pub encoding: Option<Tensor>,
     /// Pyramid levels of each query.
     pub levels: Levels,
+    /// How the queries are laid out, where a decoder reads images.
+    pub images: Option<Mosaic>,
 }
 
 /// The two pyramid levels that each query reads.
@@ -78,7 +81,13 @@ impl Inputs {
             wo: pairs(wo, device)?,
             shift,
             offset_taps,
+            images: None,
         })
+    }
+
+    /// The same queries as images of one size.
+    pub fn as_images(self, images: Mosaic) -> Self {
+        Self { images: Some(images), ..self }
     }
 
     /// Number of queries.

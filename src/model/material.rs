@@ -3,7 +3,8 @@
 use super::texture::{Sigmas, Tables};
 use super::{Inputs, Networks, Variables};
 use crate::error::{Error, Result};
-use crate::query::{QueryBuffer, Reflectance, RgbImage, above_horizon};
+use crate::query::grid::{self, Mosaic};
+use crate::query::{QueryBuffer, Reflectance, RgbImage, Support, above_horizon};
 use candle_core::Device;
 use neumip_export::checkpoint::Checkpoint;
 use neumip_export::config::Architecture;
@@ -37,11 +38,28 @@ impl NeuralMaterial {
         &self.networks.architecture
     }
 
-    fn answer(&self, queries: &QueryBuffer, start: usize, out: &mut [[f32; 3]]) -> Result<()> {
+    /// The answers to images of queries, each taken as periodic.
+    ///
+    /// # Errors
+    /// Whatever candle refuses.
+    pub fn images(&self, queries: &QueryBuffer, images: Mosaic) -> Result<Vec<[f32; 3]>> {
+        let mut pixels = vec![[0.0f32; 3]; queries.len()];
+        self.answer(queries, 0, Some(images), &mut pixels)?;
+        Ok(pixels)
+    }
+
+    fn answer(
+        &self,
+        queries: &QueryBuffer,
+        start: usize,
+        images: Option<Mosaic>,
+        out: &mut [[f32; 3]],
+    ) -> Result<()> {
         let part = start..start + out.len();
         let (wi, wo) = (&queries.wi[part.clone()], &queries.wo[part.clone()]);
         let (u, level) = (&queries.u[part.clone()], &queries.level[part]);
         let inputs = Inputs::new(self.architecture(), u, wi, wo, level, &self.device)?;
+        let inputs = Inputs { images, ..inputs };
         let rgb: Vec<f32> = self.networks.forward(&inputs, &self.tables)?.flatten_all()?.to_vec1()?;
         for (k, pixel) in out.iter_mut().enumerate() {
             if above_horizon(wi[k]) && above_horizon(wo[k]) {
@@ -57,12 +75,22 @@ impl NeuralMaterial {
 }
 
 impl Reflectance for NeuralMaterial {
+    fn support(&self) -> Support {
+        Support::of(self.architecture().neighbourhood(), self.architecture().resolution)
+    }
+
     fn evaluate(&self, queries: &QueryBuffer) -> Result<RgbImage> {
-        let mut pixels = vec![[0.0f32; 3]; queries.len()];
-        pixels
-            .par_chunks_mut(CHUNK)
-            .enumerate()
-            .try_for_each(|(chunk, out)| self.answer(queries, chunk * CHUNK, out))?;
+        let pixels = match self.support() {
+            Support::Pointwise => {
+                let mut pixels = vec![[0.0f32; 3]; queries.len()];
+                let chunks = pixels.par_chunks_mut(CHUNK).enumerate();
+                chunks.try_for_each(|(chunk, out)| self.answer(queries, chunk * CHUNK, None, out))?;
+                pixels
+            }
+            Support::Neighbourhood { radius, resolution } => {
+                grid::answer(queries, radius, resolution, &|images, mosaic| self.images(images, mosaic))?
+            }
+        };
         match pixels.iter().position(|p| !p.iter().all(|v| v.is_finite())) {
             Some(k) => Err(Error::config(format!("query[{k}]"), "the model's answer is not finite")),
             None => Ok(RgbImage { height: queries.height(), width: queries.width(), pixels }),

@@ -15,8 +15,8 @@ pub use variables::Variables;
 
 use crate::error::Result;
 use candle_core::{Device, Tensor};
-use decoder::Mlp;
-use neumip_export::config::{Architecture, DECODER_MLP, OFFSET_MLP};
+use decoder::{Decoder, Mlp};
+use neumip_export::config::{Architecture, OFFSET_MLP};
 
 /// The networks of a model, reading variables (or plain tensors) that someone else owns.
 /// Textures are given to [`Networks::forward`], since training reads them smoothed.
@@ -24,7 +24,7 @@ pub struct Networks {
     /// What is built.
     pub architecture: Architecture,
     offset: Option<Mlp>,
-    decoder: Mlp,
+    decoder: Decoder,
 }
 
 impl Networks {
@@ -49,7 +49,7 @@ impl Networks {
             Some(widths) => Some(Mlp::new(OFFSET_MLP, widths.len() - 1, tensor)?),
             None => None,
         };
-        let decoder = Mlp::new(DECODER_MLP, architecture.decoder_widths().len() - 1, tensor)?;
+        let decoder = Decoder::new(architecture, tensor)?;
         Ok(Self { architecture: architecture.clone(), offset, decoder })
     }
 
@@ -65,7 +65,7 @@ impl Networks {
             Some(encoding) => Tensor::cat(&[&features, encoding], 1)?,
             None => features,
         };
-        output::rgb(&self.decoder.forward(&x)?, &self.architecture.model.output)
+        output::rgb(&self.decoder.forward(&x, inputs.images)?, &self.architecture.model.output)
     }
 }
 

@@ -22,8 +22,8 @@ impl Variables {
         for (index, (name, shape)) in architecture.tensors().into_iter().enumerate() {
             let mut random = Random::new(seed, Stream::Weights, index as u64);
             let n: usize = shape.iter().product();
-            if shape.len() == 2 {
-                fan_in = shape[1];
+            if matches!(shape.len(), 2 | 4) {
+                fan_in = shape[1..].iter().product();
             }
             let bound = 1.0 / (fan_in as f32).sqrt();
             let values: Vec<f32> = match shape.len() {

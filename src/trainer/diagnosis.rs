@@ -1,8 +1,8 @@
 //! Why a loss is not finite, in one line.
 
-use super::candle_engine::Job;
+use super::candle_engine::{Chunk, Job};
 use crate::config::Remap;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use std::path::Path;
 
 /// Says what is not finite at this step and what to do; `folder` keeps the last good state.
@@ -21,11 +21,24 @@ fn cause(job: &Job) -> Result<String> {
             return Ok(format!("a target of level {} is not finite; regenerate the data", piece.level()));
         }
     }
-    let chunk = job.chunk(pieces, job.means())?;
+    let chunks = pieces.chunks(job.per_chunk()).map(|pieces| job.chunk(pieces, job.means()));
+    let mut last = Err(Error::config("batch", "is empty"));
+    for chunk in chunks {
+        last = of_chunk(job, &chunk?);
+        if let Ok((_, true)) | Err(_) = last {
+            break;
+        }
+    }
+    last.map(|(cause, _)| cause)
+}
+
+/// What is not finite in a chunk; false if it is only a slope, which may be another chunk's.
+fn of_chunk(job: &Job, chunk: &Chunk) -> Result<(String, bool)> {
     let prediction = job.networks.forward(&chunk.inputs, job.tables)?.detach();
     let values: Vec<f32> = prediction.flatten_all()?.to_vec1()?;
     if values.iter().any(|v| !v.is_finite()) {
-        return Ok("predictions are not finite although the weights are; lower the learning rate".into());
+        let cause = "predictions are not finite although the weights are; lower the learning rate";
+        return Ok((cause.into(), true));
     }
     let lowest = values.iter().copied().fold(f32::INFINITY, f32::min);
     let highest = values.iter().copied().fold(f32::NEG_INFINITY, f32::max);
@@ -39,7 +52,8 @@ fn cause(job: &Job) -> Result<String> {
                 }
                 _ => "lower the learning rate",
             };
-            return Ok(format!("term {:?} of {:?} gives {value}, {range}; {remedy}", term.kind, term.remap));
+            let cause = format!("term {:?} of {:?} gives {value}, {range}; {remedy}", term.kind, term.remap);
+            return Ok((cause, true));
         }
     }
     let remedy = if job.step.terms.iter().any(|t| t.remap == Remap::Root4Literal) {
@@ -47,5 +61,5 @@ fn cause(job: &Job) -> Result<String> {
     } else {
         "lower the learning rate"
     };
-    Ok(format!("every term is finite but a slope is not, {range}; {remedy}"))
+    Ok((format!("every term is finite but a slope is not, {range}; {remedy}"), false))
 }

@@ -4,9 +4,10 @@
 use super::candle_engine::CandleEngine;
 use super::fused_engine::FusedEngine;
 use crate::config::{EngineKind, Term};
-use crate::dataset::Block;
+use crate::dataset::{Block, Layout};
 use crate::error::{Error, Result};
 use crate::kernels::simd::Isa;
+use crate::loss::{Means, Patches};
 use crate::model::Variables;
 use crate::model::texture::Sigmas;
 use candle_core::{Device, Tensor};
@@ -25,6 +26,21 @@ pub struct Step<'a> {
     pub highest_level: Option<u32>,
     /// Whether the offset texture learns.
     pub offset_texture: bool,
+}
+
+impl Step<'_> {
+    /// Counts that the sums over the step are divided by.
+    pub(super) fn means(&self, architecture: &Architecture) -> Means {
+        let side = self.pieces.first().map_or(1, |p| p.side());
+        Means::of(side, self.pieces.iter().map(|p| patches(p.layout(), architecture)))
+    }
+}
+
+/// The patches of a piece, of which a decoder that reads neighbours answers the border otherwise than on the whole tile.
+pub(super) fn patches(layout: &Layout, architecture: &Architecture) -> Patches {
+    let radius = architecture.neighbourhood();
+    let margin = radius.map_or(0, |radius| layout.margin(radius, architecture.resolution));
+    Patches { side: layout.patch(), margin }
 }
 
 /// A gradient of one variable.

@@ -97,15 +97,14 @@ impl Engine for FusedEngine {
             _ => None,
         };
         let textures = Textures::new(self.batch.plan(), levels, offset);
-        let means =
-            Means::of(step.pieces.first().map_or(1, |p| p.side()), step.pieces.iter().map(|p| p.patch()));
+        let means = step.means(&self.batch.plan().architecture);
         let loss = Loss {
             terms: &scaled(step.terms, means),
             range: step.target_range,
             highest_level: step.highest_level,
             offset_texture: step.offset_texture,
         };
-        let value = self.batch.gradients(&networks, &textures, step.pieces, &loss, &mut self.sums);
+        let value = self.batch.gradients(&networks, &textures, step.pieces, &loss, &mut self.sums)?;
         // Every sample's gradient reaches the last bias.
         let outputs = self.batch.plan().architecture.decoder_outputs();
         let last = &self.sums.networks[self.sums.networks.len() - outputs..];

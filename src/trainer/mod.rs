@@ -422,6 +422,22 @@ impl Trainer {
     }
 }
 
+/// Checks that the data has images for a decoder that reads them.
+fn check_images(config: &Config, data: &Dataset) -> Result<()> {
+    let resolution = data.resolution();
+    let architecture = Architecture::new(config.model.clone(), resolution)?;
+    let Some(radius) = architecture.neighbourhood() else { return Ok(()) };
+    for name in [SplitName::Train, SplitName::Validation] {
+        let split = data.split(name)?;
+        // Validation answers whole blocks.
+        let piece = if name == SplitName::Train { config.train.piece } else { split.info().side };
+        (0..split.files()).try_for_each(|file| {
+            split.layouts(file)?.iter().try_for_each(|layout| layout.check_images(radius, piece, resolution))
+        })?;
+    }
+    Ok(())
+}
+
 /// The data of a run: the training stream and the validation split.
 struct Sources {
     stream: Stream,
@@ -438,6 +454,7 @@ impl Sources {
         stream.seek(step);
         stream.next_batch()?;
         stream.seek(step);
+        check_images(config, data)?;
         let split = data.split(SplitName::Validation)?;
         let mut validation = Vec::new();
         for file in 0..split.files() {

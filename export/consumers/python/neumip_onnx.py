@@ -3,7 +3,8 @@
     python neumip_onnx.py BUNDLE --check
     python neumip_onnx.py BUNDLE --queries QUERIES.json --out ANSWERS.json
 
-QUERIES is JSON or npz with arrays u, wi, wo [N, 2], level [N] and, to compare with, rgb [N, 3]. The exit
+QUERIES is JSON or npz with arrays u, wi, wo [N, 2], level [N] and, to compare with, rgb [N, 3]. For a decoder that reads
+neighbours they are images one after another, and `images` says how many and how large: [count, height, width]. The exit
 status is 1 where an answer is further off than the bundle's tolerance: |difference| > tolerance (1 + |rgb|).
 """
 
@@ -30,15 +31,23 @@ class Bundle:
         graph = str(self.folder / "material.onnx")
         self.session = onnxruntime.InferenceSession(graph, providers=["CPUExecutionProvider"])
 
-    def evaluate(self, u, wi, wo, level):
+    def evaluate(self, u, wi, wo, level, images=None):
         """Answers queries: [N, 2], [N, 2], [N, 2], [N] -> [N, 3]."""
-        feeds = {name: np.ascontiguousarray(a, np.float32) for name, a in zip(INPUTS, (u, wi, wo, level))}
-        return self.session.run(["rgb"], feeds)[0]
+        feeds = as_fed(zip(INPUTS, (u, wi, wo, level)), images)
+        return self.session.run(["rgb"], feeds)[0].reshape(-1, 3)
 
     def largest_difference(self, queries):
         """Largest |difference| / (1 + |rgb|) between the graph's answers and the given ones."""
-        rgb = self.evaluate(*(queries[name] for name in INPUTS))
+        rgb = self.evaluate(*(queries[name] for name in INPUTS), queries.get("images"))
         return float(np.max(np.abs(rgb - queries["rgb"]) / (1 + np.abs(queries["rgb"]))))
+
+
+def as_fed(named, images=None):
+    """Named arrays as a graph takes them: 32-bit floats, laid out as images where there are some."""
+    feeds = {name: np.ascontiguousarray(a, np.float32) for name, a in named}
+    if images is not None:
+        feeds = {name: a.reshape(*(int(n) for n in images), *a.shape[1:]) for name, a in feeds.items()}
+    return feeds
 
 
 def read_queries(path):
@@ -60,7 +69,7 @@ def check_graphs(folder):
         onnx.checker.check_model(model, full_check=True)
         onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True, data_prop=True)
         shape = [d.dim_param or d.dim_value for d in model.graph.output[0].type.tensor_type.shape.dim]
-        if shape != ["N", 3]:
+        if shape not in (["N", 3], ["N", "H", "W", 3]):
             raise ValueError(f"{name}: output shape {shape}")
     return True
 
@@ -102,7 +111,7 @@ def main():
             difference = bundle.largest_difference(queries)
             print(json.dumps({"difference": difference, "tolerance": tolerance}))
             ok = ok and difference <= tolerance
-        rgb = bundle.evaluate(*(queries[name] for name in INPUTS))
+        rgb = bundle.evaluate(*(queries[name] for name in INPUTS), queries.get("images"))
         if arguments.out:
             Path(arguments.out).write_text(json.dumps({"rgb": rgb.tolist()}), encoding="utf-8")
         elif "rgb" not in queries:

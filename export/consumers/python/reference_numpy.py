@@ -3,7 +3,8 @@
     from reference_numpy import evaluate
     rgb = evaluate("model.safetensors", u, wi, wo, level)
 
-u, wi, wo are [N, 2], level is [N]; the answer is [N, 3]. Four quantities are computed in 32-bit floats
+u, wi, wo are [N, 2], level is [N]; the answer is [N, 3]. For a decoder that reads neighbours the N queries are periodic
+images one after another: `images` is [count, height, width]. Four quantities are computed in 32-bit floats
 because small differences in them grow (the highest bands turn a rounding of p into 2^k pi times as much, and
 z near the horizon is a root of a difference): the wrapped u, p = 2 u - 1, x^2 + y^2 and z. Everything else is
 in 64 bits, so what a renderer's 32-bit floats cost shows as the difference.
@@ -47,7 +48,7 @@ class Material:
         self.levels = sum(name.startswith("texture.level") for name in tensors)
         self.finest = self.model["texture"].get("finest", 0)
 
-    def evaluate(self, u, wi, wo, level):
+    def evaluate(self, u, wi, wo, level, images=None):
         """Answers queries: [N, 2], [N, 2], [N, 2], [N] -> [N, 3]."""
         u, wi, wo, level = (np.asarray(a, np.float32) for a in (u, wi, wo, level))
         u = u - np.floor(u)
@@ -63,7 +64,13 @@ class Material:
 
         features = self.features(shifted, np.maximum(level - self.finest, 0))
         encoded = self.encode(u, wi, wi_z, wo, wo_z, level)
-        rgb = self.colour(self.network("decoder.mlp", np.concatenate([features, *encoded], 1)))
+        inputs = np.concatenate([features, *encoded], 1)
+        if self.model["decoder"]["kind"] == "inception":
+            count, height, width = images
+            outputs = self.inception(inputs.reshape(count, height, width, -1)).reshape(len(u), -1)
+        else:
+            outputs = self.network("decoder.mlp", inputs)
+        rgb = self.colour(outputs)
         return np.where(wi_up & wo_up, np.maximum(rgb, 0), 0)
 
     def features(self, u, level):
@@ -108,6 +115,26 @@ class Material:
             x = np.maximum(x, 0) if layer + 1 < layers else x
         return x
 
+    def inception(self, x):
+        """1x1, modules of four paths, 1x1, on periodic images [N, H, W, C]; ReLU after every convolution but the last."""
+        x = np.maximum(self.convolved("decoder.in", x), 0)
+        for module in range(self.model["decoder"]["modules"]):
+
+            def path(name, x):
+                return np.maximum(self.convolved(f"decoder.module{module}.{name}", x), 0)
+
+            paths = [path("path1", x), path("path2", path("path2.reduce", x))]
+            paths += [path("path3", path("path3.reduce", x)), path("path4", np.max(shifted(x, 3), 0))]
+            x = np.concatenate(paths, 3)
+        return self.convolved("decoder.out", x)
+
+    def convolved(self, name, x):
+        """A convolution of images."""
+        weight = self.tensors[f"{name}.weight"]
+        kernel = weight.reshape(*weight.shape[:2], -1)
+        around = shifted(x, weight.shape[2])
+        return sum(part @ kernel[:, :, k].T for k, part in enumerate(around)) + self.tensors[f"{name}.bias"]
+
     def colour(self, y):
         """RGB from the decoder's outputs, before the clamp."""
         output = self.model["output"]
@@ -119,6 +146,14 @@ class Material:
         if output["mask"]:
             rgb = rgb * (0.1 + 1 / (1 + np.exp(-y[:, 3:6])))
         return rgb
+
+
+def shifted(x, side):
+    """The neighbours of every pixel within a square, row by row of it: a list of images."""
+    height, width = x.shape[1:3]
+    margin = side // 2
+    around = np.pad(x, ((0, 0), (margin, margin), (margin, margin), (0, 0)), mode="wrap")
+    return [around[:, i : i + height, j : j + width] for i in range(side) for j in range(side)]
 
 
 def direction(w):
@@ -143,6 +178,6 @@ def bilinear(texture, u):
     return (1 - fy) * top + fy * bottom
 
 
-def evaluate(path, u, wi, wo, level):
+def evaluate(path, u, wi, wo, level, images=None):
     """Answers queries with the checkpoint at `path`: [N, 2], [N, 2], [N, 2], [N] -> [N, 3]."""
-    return Material(path).evaluate(u, wi, wo, level)
+    return Material(path).evaluate(u, wi, wo, level, images)

@@ -1,5 +1,6 @@
 //! A graph under construction: nodes in order, constants, and names that say what a value is.
 
+use super::Port;
 use super::proto::{self, Extent};
 use half::f16;
 use std::collections::BTreeMap;
@@ -27,16 +28,16 @@ impl Builder {
         self.scope = scope.into();
     }
 
-    /// Declares an input \[N, columns...\].
-    pub fn input(&mut self, name: &str, columns: &[usize], doc: &str) -> Value {
-        self.graph.input.push(port(name, columns, doc));
-        Value(name.into())
+    /// Declares an input.
+    pub fn input(&mut self, of: &Port) -> Value {
+        self.graph.input.push(port(of));
+        Value(of.name.into())
     }
 
-    /// Declares `value` as the output `name` \[N, columns...\].
-    pub fn output(&mut self, name: &str, columns: &[usize], doc: &str, value: &Value) {
-        self.graph.output.push(port(name, columns, doc));
-        self.push("Identity", name.into(), &[value], vec![name.into()], &[]);
+    /// Declares `value` as an output.
+    pub fn output(&mut self, of: &Port, value: &Value) {
+        self.graph.output.push(port(of));
+        self.push("Identity", of.name.into(), &[value], vec![of.name.into()], Vec::new());
     }
 
     /// A constant of floats, named as given.
@@ -67,6 +68,11 @@ impl Builder {
         self.int32s(&format!("int {value}"), &[], &[value])
     }
 
+    /// A 64-bit integer scalar, as sizes are; equal ones are stored once.
+    pub fn int64(&mut self, value: i64) -> Value {
+        self.constant(&format!("size {value}"), proto::INT64, &[], value.to_le_bytes().to_vec())
+    }
+
     /// The 64-bit axes or sizes that some operators take as an input; equal ones are stored once.
     pub fn axes(&mut self, axes: &[i64]) -> Value {
         let raw = axes.iter().flat_map(|v| v.to_le_bytes()).collect();
@@ -83,7 +89,32 @@ impl Builder {
 
     /// A node with one output, called `scope/name` (with a number where that is taken).
     pub fn node(&mut self, op: &str, name: &str, inputs: &[&Value], attributes: &[(&str, i64)]) -> Value {
+        self.node_of(op, name, inputs, attributes, &[])
+    }
+
+    /// As [`Builder::node`], with attributes that are lists too.
+    pub fn node_of(
+        &mut self,
+        op: &str,
+        name: &str,
+        inputs: &[&Value],
+        attributes: &[(&str, i64)],
+        lists: &[(&str, &[i64])],
+    ) -> Value {
         let name = self.unique(name);
+        let one = |(name, i): &(&str, i64)| proto::Attribute {
+            name: (*name).into(),
+            i: Some(*i),
+            ints: Vec::new(),
+            r#type: proto::ATTRIBUTE_INT,
+        };
+        let list = |(name, ints): &(&str, &[i64])| proto::Attribute {
+            name: (*name).into(),
+            i: None,
+            ints: ints.to_vec(),
+            r#type: proto::ATTRIBUTE_INTS,
+        };
+        let attributes = attributes.iter().map(one).chain(lists.iter().map(list)).collect();
         self.push(op, name.clone(), inputs, vec![name.clone()], attributes);
         Value(name)
     }
@@ -93,7 +124,13 @@ impl Builder {
         let sizes = self.axes(&[first as i64, second as i64]);
         let name = self.unique(name);
         let outputs = [format!("{name}.0"), format!("{name}.1")];
-        self.push("Split", name, &[value, &sizes], outputs.to_vec(), &[("axis", 1)]);
+        let axis = proto::Attribute {
+            name: "axis".into(),
+            i: Some(1),
+            ints: Vec::new(),
+            r#type: proto::ATTRIBUTE_INT,
+        };
+        self.push("Split", name, &[value, &sizes], outputs.to_vec(), vec![axis]);
         let [a, b] = outputs;
         (Value(a), Value(b))
     }
@@ -104,22 +141,10 @@ impl Builder {
         name: String,
         inputs: &[&Value],
         output: Vec<String>,
-        attributes: &[(&str, i64)],
+        attribute: Vec<proto::Attribute>,
     ) {
-        self.graph.node.push(proto::Node {
-            input: inputs.iter().map(|v| v.0.clone()).collect(),
-            output,
-            name,
-            op_type: op.into(),
-            attribute: attributes
-                .iter()
-                .map(|&(name, i)| proto::Attribute {
-                    name: name.into(),
-                    i: Some(i),
-                    r#type: proto::ATTRIBUTE_INT,
-                })
-                .collect(),
-        });
+        let input = inputs.iter().map(|v| v.0.clone()).collect();
+        self.graph.node.push(proto::Node { input, output, name, op_type: op.into(), attribute });
     }
 
     fn unique(&mut self, name: &str) -> String {
@@ -222,18 +247,18 @@ impl Builder {
     }
 }
 
-fn port(name: &str, columns: &[usize], doc: &str) -> proto::ValueInfo {
-    let batch = Extent::Named("N".into());
-    let extents = std::iter::once(batch).chain(columns.iter().map(|&c| Extent::Fixed(c as i64)));
+fn port(of: &Port) -> proto::ValueInfo {
+    let named = of.layout.extents().iter().map(|name| Extent::Named((*name).into()));
+    let extents = named.chain(of.columns.iter().map(|&c| Extent::Fixed(c as i64)));
     let dim = extents.map(|extent| proto::Dimension { extent: Some(extent) }).collect();
     proto::ValueInfo {
-        name: name.into(),
+        name: of.name.into(),
         r#type: Some(proto::Type {
             tensor_type: Some(proto::TensorType {
                 elem_type: proto::FLOAT,
                 shape: Some(proto::Shape { dim }),
             }),
         }),
-        doc_string: doc.into(),
+        doc_string: of.meaning.into(),
     }
 }

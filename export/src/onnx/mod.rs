@@ -2,11 +2,12 @@
 //! (everything).
 //!
 //! Opset 17 and IR version 8: the widest target, and the same nodes are valid from opset 13 on. The batch N
-//! is dynamic. Every input is read even where the answer does not depend on it, so that callers can always
+//! is dynamic; a decoder that reads neighbours takes N images of H x W queries, all three dynamic. Every input is read even where the answer does not depend on it, so that callers can always
 //! feed all of them.
 
 mod builder;
 mod encoding;
+mod inception;
 mod network;
 #[allow(missing_docs)] // The fields are those of onnx.proto.
 mod proto;
@@ -14,7 +15,7 @@ mod query;
 mod texture;
 
 use crate::checkpoint::Checkpoint;
-use crate::config::{ParallaxConfig, texture_name};
+use crate::config::{Architecture, ParallaxConfig, texture_name};
 use crate::error::{Error, Result};
 use crate::precision::Precision;
 use builder::{Builder, Value};
@@ -28,20 +29,46 @@ pub const IR_VERSION: i64 = 8;
 /// Largest message that protobuf readers accept.
 const MAX_BYTES: usize = i32::MAX as usize;
 
-/// An input or output \[N, columns...\] of 32-bit floats.
+/// How queries are laid out in the inputs of a graph.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Layout {
+    /// N queries, each on its own.
+    Queries,
+    /// N periodic images of H x W queries.
+    Images,
+}
+
+impl Layout {
+    /// The layout of a model.
+    pub fn of(architecture: &Architecture) -> Self {
+        if architecture.neighbourhood().is_some() { Self::Images } else { Self::Queries }
+    }
+
+    /// Names of the first extents.
+    pub fn extents(self) -> &'static [&'static str] {
+        match self {
+            Self::Queries => &["N"],
+            Self::Images => &["N", "H", "W"],
+        }
+    }
+}
+
+/// An input or output \[N, columns...\] or \[N, H, W, columns...\] of 32-bit floats.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Port {
     /// Name.
     pub name: &'static str,
-    /// Extents after the batch.
+    /// Its first extents.
+    pub layout: Layout,
+    /// Extents after those.
     pub columns: Vec<usize>,
     /// What it is.
     pub meaning: &'static str,
 }
 
 /// Inputs of `material.onnx`, in order.
-pub fn material_inputs() -> Vec<Port> {
-    let port = |name, columns: &[usize], meaning| Port { name, columns: columns.into(), meaning };
+pub fn material_inputs(layout: Layout) -> Vec<Port> {
+    let port = |name, columns: &[usize], meaning| Port { name, layout, columns: columns.into(), meaning };
     vec![
         port("u", &[2], "position in tiles, wrapped by the graph"),
         port("wi", &[2], "x and y of the unit vector to the light"),
@@ -51,16 +78,16 @@ pub fn material_inputs() -> Vec<Port> {
 }
 
 /// Inputs of `decoder.onnx`, in order: features with `channels` columns, then those of `material.onnx`.
-pub fn decoder_inputs(channels: usize) -> Vec<Port> {
+pub fn decoder_inputs(layout: Layout, channels: usize) -> Vec<Port> {
     let meaning = "texture pyramid at the position after parallax, trilinear";
-    let mut inputs = vec![Port { name: "features", columns: vec![channels], meaning }];
-    inputs.extend(material_inputs());
+    let mut inputs = vec![Port { name: "features", layout, columns: vec![channels], meaning }];
+    inputs.extend(material_inputs(layout));
     inputs
 }
 
 /// The output of both graphs.
-pub fn output() -> Port {
-    Port { name: "rgb", columns: vec![3], meaning: "linear RGB, 0 on and below the horizon" }
+pub fn output(layout: Layout) -> Port {
+    Port { name: "rgb", layout, columns: vec![3], meaning: "linear RGB, 0 on and below the horizon" }
 }
 
 /// `decoder.onnx`: features, u, wi, wo, level -> rgb.
@@ -70,11 +97,14 @@ pub fn output() -> Port {
 pub fn decoder_graph(checkpoint: &Checkpoint) -> Result<Vec<u8>> {
     checkpoint.validate()?;
     let mut b = Builder::new("decoder", "neural material: decoder and its input encoding");
-    let inputs = declare(&mut b, &decoder_inputs(checkpoint.header.architecture.model.texture.channels));
+    let architecture = &checkpoint.header.architecture;
+    let ports = decoder_inputs(Layout::of(architecture), architecture.model.texture.channels);
+    let (inputs, shape) = declare(&mut b, &ports);
     let [features, u, wi, wo, level] = inputs.as_slice() else { unreachable!("five ports are declared") };
     let wi = Direction::new(&mut b, "wi", wi.clone());
     let wo = Direction::new(&mut b, "wo", wo.clone());
-    let query = Query { u: query::wrapped(&mut b, u), level: column(&mut b, checkpoint, level), wi, wo };
+    let (u, level) = (query::wrapped(&mut b, u), column(&mut b, checkpoint, level));
+    let query = Query { u, level, wi, wo, shape };
     let u_is_read = checkpoint.header.architecture.u_inputs() > 0;
     answer(b, checkpoint, &query, features, (u_is_read, false))
 }
@@ -101,11 +131,12 @@ pub fn material_graph_as(checkpoint: &Checkpoint, textures: Precision) -> Result
         return Err(too_large(bytes));
     }
     let mut b = Builder::new("material", "neural material: parallax, texture pyramid and decoder");
-    let inputs = declare(&mut b, &material_inputs());
+    let (inputs, shape) = declare(&mut b, &material_inputs(Layout::of(architecture)));
     let [u, wi, wo, level] = inputs.as_slice() else { unreachable!("four ports are declared") };
     let wi = Direction::new(&mut b, "wi", wi.clone());
     let wo = Direction::new(&mut b, "wo", wo.clone());
-    let query = Query { u: query::wrapped(&mut b, u), level: column(&mut b, checkpoint, level), wi, wo };
+    let (u, level) = (query::wrapped(&mut b, u), column(&mut b, checkpoint, level));
+    let query = Query { u, level, wi, wo, shape };
     let shifted = match &architecture.model.parallax {
         ParallaxConfig::None {} => query.u.clone(),
         ParallaxConfig::Offset(offset) => {
@@ -132,10 +163,27 @@ struct Query {
     level: Value,
     wi: Direction,
     wo: Direction,
+    /// \[N, H, W\], where the queries are images.
+    shape: Option<Value>,
 }
 
-fn declare(b: &mut Builder, ports: &[Port]) -> Vec<Value> {
-    ports.iter().map(|port| b.input(port.name, &port.columns, port.meaning)).collect()
+/// Declares inputs and gives them with one row a query, and the shape that they had before where they were images.
+fn declare(b: &mut Builder, ports: &[Port]) -> (Vec<Value>, Option<Value>) {
+    let inputs: Vec<Value> = ports.iter().map(|port| b.input(port)).collect();
+    let mut shape = None;
+    b.scope("images");
+    let rows = ports.iter().zip(inputs).map(|(port, input)| {
+        if port.layout == Layout::Queries {
+            return input;
+        }
+        if port.columns.is_empty() {
+            shape = Some(b.node("Shape", "shape", &[&input], &[]));
+        }
+        let rows: Vec<i64> = [-1].into_iter().chain(port.columns.iter().map(|c| *c as i64)).collect();
+        let rows = b.axes(&rows);
+        b.node("Reshape", &format!("{}.rows", port.name), &[&input, &rows], &[])
+    });
+    (rows.collect(), shape)
 }
 
 fn column(b: &mut Builder, checkpoint: &Checkpoint, level: &Value) -> Value {
@@ -156,7 +204,7 @@ fn answer(
     let mut columns: Vec<encoding::Column> = (0..channels).map(|c| Some((c, 1.0))).collect();
     columns.extend(encoded.columns.iter().map(|c| c.map(|(input, f)| (channels + input, f))));
     let parts: Vec<&Value> = std::iter::once(features).chain(&encoded.parts).collect();
-    let mut outputs = network::decode(&mut b, checkpoint, &parts, &columns)?;
+    let mut outputs = network::decode(&mut b, checkpoint, &parts, &columns, query.shape.as_ref())?;
     for (name, value, is_read) in
         [("u", &query.u, read.0), ("level", &query.level, read.1 || encoded.uses_level)]
     {
@@ -165,15 +213,20 @@ fn answer(
             outputs = b.add(&format!("{name}.read"), &outputs, &nothing);
         }
     }
-    let shown = network::rgb(&mut b, checkpoint, outputs, &query.wi, &query.wo);
-    let port = output();
-    b.output(port.name, &port.columns, port.meaning, &shown);
+    let mut shown = network::rgb(&mut b, checkpoint, outputs, &query.wi, &query.wo);
+    if let Some(shape) = &query.shape {
+        let channels = b.axes(&[3]);
+        let images = b.node("Concat", "images.shape", &[shape, &channels], &[("axis", 0)]);
+        shown = b.node("Reshape", "images", &[&shown, &images], &[]);
+    }
+    b.output(&output(Layout::of(architecture)), &shown);
     finish(b, checkpoint)
 }
 
 fn finish(b: Builder, checkpoint: &Checkpoint) -> Result<Vec<u8>> {
     let header = &checkpoint.header;
     let json = |value: serde_json::Result<String>| value.map_err(|e| Error::config("header", e));
+    let radius = header.architecture.neighbourhood();
     let properties = [
         ("neumip.format", header.format.to_string()),
         ("neumip.material", header.material.clone()),
@@ -181,6 +234,7 @@ fn finish(b: Builder, checkpoint: &Checkpoint) -> Result<Vec<u8>> {
         ("neumip.height_range", json(serde_json::to_string(&header.height_range))?),
         ("neumip.architecture", json(serde_json::to_string(&header.architecture))?),
     ];
+    let radius = radius.map(|radius| ("neumip.neighbourhood", radius.to_string()));
     let model = proto::Model {
         ir_version: IR_VERSION,
         producer_name: "neumip".into(),
@@ -189,6 +243,7 @@ fn finish(b: Builder, checkpoint: &Checkpoint) -> Result<Vec<u8>> {
         opset_import: vec![proto::OperatorSet { domain: String::new(), version: OPSET }],
         metadata_props: properties
             .into_iter()
+            .chain(radius)
             .map(|(key, value)| proto::Property { key: key.into(), value })
             .collect(),
     };

@@ -2,6 +2,7 @@
 
 use super::builder::{Builder, Value};
 use super::encoding::Column;
+use super::inception;
 use super::query::Direction;
 use super::texture::{Table, lookup};
 use crate::checkpoint::Checkpoint;
@@ -73,17 +74,23 @@ pub fn parallax(
     Ok(b.add("u.shifted", u, &shift))
 }
 
-/// The decoder network: outputs \[N, 3 or 6\].
+/// The decoder network: outputs \[N, 3 or 6\]. `shape` is that of the queries before they became N rows.
 pub fn decode(
     b: &mut Builder,
     checkpoint: &Checkpoint,
     parts: &[&Value],
     columns: &[Column],
+    shape: Option<&Value>,
 ) -> Result<Value> {
     b.scope("decoder");
     let input = b.concat("input", parts, 1);
-    let layers = checkpoint.header.architecture.decoder_widths().len() - 1;
-    mlp(b, checkpoint, DECODER_MLP, layers, input, Some(columns))
+    match shape {
+        Some(shape) => inception::decode(b, checkpoint, &input, columns, shape),
+        None => {
+            let layers = checkpoint.header.architecture.decoder_widths().map_or(0, |w| w.len() - 1);
+            mlp(b, checkpoint, DECODER_MLP, layers, input, Some(columns))
+        }
+    }
 }
 
 /// Turns the decoder's outputs into RGB \[N, 3\], 0 below the horizon.

@@ -13,6 +13,8 @@ pub const FLOAT16: i32 = 10;
 
 /// `AttributeProto.AttributeType` of one integer.
 pub const ATTRIBUTE_INT: i32 = 2;
+/// `AttributeProto.AttributeType` of a list of integers.
+pub const ATTRIBUTE_INTS: i32 = 7;
 
 #[derive(Clone, PartialEq, Message)]
 pub struct Model {
@@ -83,6 +85,8 @@ pub struct Attribute {
     // Presence is explicit: an axis of 0 has to be written.
     #[prost(int64, optional, tag = "3")]
     pub i: Option<i64>,
+    #[prost(int64, repeated, packed = "false", tag = "8")]
+    pub ints: Vec<i64>,
     #[prost(int32, tag = "20")]
     pub r#type: i32,
 }

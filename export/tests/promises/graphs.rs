@@ -24,24 +24,43 @@ pub fn run(graph: Vec<u8>, feeds: &[(&str, Vec<usize>, Vec<f32>)]) -> Vec<f32> {
         .collect();
     let output = model.node_id("rgb").unwrap();
     let [rgb] = model.run_n(inputs, [output], None).unwrap();
+    if feeds[0].1.len() == 4 {
+        let (shape, data) = rgb.into_shape_vec::<f32, 4>().unwrap();
+        assert_eq!(shape[..], [&feeds[0].1[..3], &[3]].concat());
+        return data;
+    }
     let (shape, data) = rgb.into_shape_vec::<f32, 2>().unwrap();
     assert_eq!(shape, [feeds[0].1[0], 3]);
     data
 }
 
 pub fn feeds(queries: &Golden) -> Vec<(&'static str, Vec<usize>, Vec<f32>)> {
-    let n = queries.u.len();
+    let extents = extents(queries);
+    let with = |columns: usize| [&extents[..], &[columns]].concat();
     vec![
-        ("u", vec![n, 2], queries.u.concat()),
-        ("wi", vec![n, 2], queries.wi.concat()),
-        ("wo", vec![n, 2], queries.wo.concat()),
-        ("level", vec![n], queries.level.clone()),
+        ("u", with(2), queries.u.concat()),
+        ("wi", with(2), queries.wi.concat()),
+        ("wo", with(2), queries.wo.concat()),
+        ("level", extents.clone(), queries.level.clone()),
     ]
+}
+
+fn extents(queries: &Golden) -> Vec<usize> {
+    queries.images.map_or(vec![queries.u.len()], Vec::from)
 }
 
 /// Features as the decoder graph gets them, and the answers to them and to the whole query.
 pub fn expected(checkpoint: &Checkpoint, queries: &Golden) -> (Vec<f32>, Vec<f64>, Vec<f64>) {
     let (mut features, mut decoder, mut material) = (vec![], vec![], vec![]);
+    if queries.images.is_some() {
+        let exact = |i| plain::features(checkpoint, queries.u[i], queries.wo[i], queries.level[i]);
+        let exact: Vec<Vec<f64>> = (0..queries.u.len()).map(exact).collect();
+        let rounded = |f: &Vec<f64>| f.iter().map(|f| f64::from(*f as f32)).collect();
+        let rounded: Vec<Vec<f64>> = exact.iter().map(rounded).collect();
+        let [decoder, material] =
+            [&rounded, &exact].map(|f| plain::decode_images(checkpoint, f, queries).concat());
+        return (rounded.concat().iter().map(|f| *f as f32).collect(), decoder, material);
+    }
     for i in 0..queries.u.len() {
         let (u, wi, wo, level) = (queries.u[i], queries.wi[i], queries.wo[i], queries.level[i]);
         let exact = plain::features(checkpoint, u, wo, level);
@@ -80,6 +99,37 @@ fn graphs_answer_like_plain_loops() {
         let of_material = largest_difference(&answers, &material);
         println!("{name}: decoder {of_decoder:.1e}, material {of_material:.1e}");
         assert!(of_decoder < TOLERANCE && of_material < TOLERANCE, "{name}: {of_decoder:e} {of_material:e}");
+    }
+}
+
+#[test]
+fn graphs_of_images_answer_like_plain_loops_and_every_tensor_of_them_matters() {
+    for (name, model, resolution) in materials::image_cases() {
+        let checkpoint = materials::checkpoint(&model, resolution, 1);
+        for images in [[2, 9, 13], [3, 4, 4], [1, 1, 3]] {
+            let queries = materials::images(&checkpoint.header.architecture, images, 2);
+            let (features, decoder, material) = expected(&checkpoint, &queries);
+            let with_channels = [&images[..], &[model.texture.channels]].concat();
+            let mut with_features = vec![("features", with_channels, features)];
+            with_features.extend(feeds(&queries));
+            let answers = run(onnx::decoder_graph(&checkpoint).unwrap(), &with_features);
+            let of_decoder = largest_difference(&answers, &decoder);
+            let answers = run(onnx::material_graph(&checkpoint).unwrap(), &feeds(&queries));
+            let of_material = largest_difference(&answers, &material);
+            println!("{name} {images:?}: decoder {of_decoder:.1e}, material {of_material:.1e}");
+            assert!(of_decoder < TOLERANCE && of_material < TOLERANCE, "{name} {images:?}: {of_material:e}");
+            if images[0] != 2 {
+                continue;
+            }
+            assert!(material.iter().filter(|v| **v > 0.0).count() > material.len() / 4, "{name}");
+            for tensor in checkpoint.tensors.keys() {
+                let mut perturbed = checkpoint.clone();
+                let data = &mut perturbed.tensors.get_mut(tensor).unwrap().data;
+                data.iter_mut().for_each(|v| *v += 0.03);
+                let (_, _, material) = expected(&perturbed, &queries);
+                assert!(largest_difference(&answers, &material) > TOLERANCE, "{name}: {tensor}");
+            }
+        }
     }
 }
 
@@ -128,6 +178,7 @@ fn one_query_and_every_batch_size_work() {
             level: vec![all.level[i]],
             rgb: vec![],
             tolerance: 1.0,
+            images: None,
         };
         let expected: Vec<f64> = answers[3 * i..3 * i + 3].iter().map(|v| f64::from(*v)).collect();
         assert!(largest_difference(&run(graph.clone(), &feeds(&one)), &expected) < TOLERANCE);

@@ -162,6 +162,43 @@ pub fn cases() -> Vec<(&'static str, ModelConfig, [usize; 2])> {
     ]
 }
 
+/// As [`cases`], with decoders that read neighbours.
+pub fn image_cases() -> Vec<(&'static str, ModelConfig, [usize; 2])> {
+    let case = |modules, paths: [usize; 4], reduce, change: fn(&mut ModelConfig)| {
+        let mut model = baseline();
+        let width = paths.iter().sum();
+        model.decoder = DecoderConfig::Inception(InceptionConfig { width, modules, paths, reduce });
+        change(&mut model);
+        model
+    };
+    vec![
+        (
+            "two modules, attenuated",
+            case(2, [4, 5, 3, 2], [4, 2], |m| {
+                m.encoding.u = position(4, true, true, false);
+                m.encoding.wi = direction(2, true, 0.5);
+            }),
+            [16, 16],
+        ),
+        (
+            "one module, masked, without parallax",
+            case(1, [3, 2, 2, 3], [4, 4], |m| {
+                m.parallax = ParallaxConfig::None {};
+                m.output.mask = true;
+                m.output.space = OutputSpace::Yuv;
+            }),
+            [8, 12],
+        ),
+        ("images smaller than the margin", case(2, [2, 2, 2, 2], [3, 3], |_| ()), [4, 2]),
+    ]
+}
+
+/// Queries as images of an odd size, with everything that [`queries`] has: a graph takes any.
+pub fn images(architecture: &Architecture, [count, height, width]: [usize; 3], seed: u64) -> Golden {
+    let images = Some([count, height, width]);
+    Golden { images, ..queries(architecture, count * height * width, seed) }
+}
+
 /// A checkpoint with textures N(0, 0.3) and weights uniform in +-sqrt(6 / inputs), which keeps the variance
 /// through ReLU layers: with less, the answer would hardly depend on the query.
 pub fn checkpoint(model: &ModelConfig, resolution: [usize; 2], seed: u64) -> Checkpoint {
@@ -171,7 +208,7 @@ pub fn checkpoint(model: &ModelConfig, resolution: [usize; 2], seed: u64) -> Che
     let mut inputs = 1;
     for (name, shape) in architecture.tensors() {
         let count = shape.iter().product();
-        inputs = if shape.len() == 2 { shape[1] } else { inputs };
+        inputs = if matches!(shape.len(), 2 | 4) { shape[1..].iter().product() } else { inputs };
         let bound = (6.0 / inputs as f32).sqrt();
         let mut draw =
             || if shape.len() == 3 { 0.3 * numbers.normal() } else { numbers.between(-bound, bound) };
@@ -179,8 +216,11 @@ pub fn checkpoint(model: &ModelConfig, resolution: [usize; 2], seed: u64) -> Che
         tensors.insert(name, Tensor { shape, data });
     }
     // Most colours above 0, where the clamp would hide a difference.
-    let last = architecture.decoder_widths().len() - 2;
-    let bias = tensors.get_mut(&bias_name(DECODER_MLP, last)).unwrap();
+    let last = match architecture.decoder_widths() {
+        Some(widths) => bias_name(DECODER_MLP, widths.len() - 2),
+        None => format!("{DECODER}.out.bias"),
+    };
+    let bias = tensors.get_mut(&last).unwrap();
     bias.data[..3].iter_mut().for_each(|b| *b += 1.0);
     let header = Header {
         format: FORMAT,
@@ -200,7 +240,9 @@ pub fn queries(architecture: &Architecture, count: usize, seed: u64) -> Golden {
     let mut numbers = Numbers::new(seed);
     let [height, width] = architecture.resolution;
     let levels = architecture.coarsest() as f32 + 1.0;
-    let mut out = Golden { tolerance: 1e-4, u: vec![], wi: vec![], wo: vec![], level: vec![], rgb: vec![] };
+    let empty = || (vec![], vec![], vec![], vec![], vec![]);
+    let (u, wi, wo, level, rgb) = empty();
+    let mut out = Golden { tolerance: 1e-4, u, wi, wo, level, rgb, images: None };
     for i in 0..count {
         let mut place = |texels: usize| match i % 5 {
             0 | 1 => numbers.uniform(),

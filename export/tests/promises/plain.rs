@@ -3,8 +3,8 @@
 //! Small differences in four quantities grow (a rounding of p by 2^k pi, one of z near the horizon by 1 / z),
 //! so those are taken in 32-bit floats as the format has them: the wrapped u, p, x^2 + y^2 and z.
 
-use neumip_export::Checkpoint;
 use neumip_export::config::*;
+use neumip_export::{Checkpoint, Golden};
 
 /// Texture features at `u` (wrapped) after parallax.
 pub fn features(checkpoint: &Checkpoint, u: [f32; 2], wo: [f32; 2], level: f32) -> Vec<f64> {
@@ -53,7 +53,77 @@ pub fn colour(
 ) -> [f64; 3] {
     let mut input = features.to_vec();
     input.extend(encoding(&checkpoint.header.architecture, u, wi, wo, level));
-    let y = network(checkpoint, DECODER_MLP, input);
+    shown(checkpoint, &network(checkpoint, DECODER_MLP, input))
+}
+
+/// RGB of periodic images from the features of their queries, 0 below the horizon and never negative.
+pub fn decode_images(checkpoint: &Checkpoint, features: &[Vec<f64>], queries: &Golden) -> Vec<[f64; 3]> {
+    let [_, height, width] = queries.images.unwrap();
+    let inputs = features.iter().enumerate().map(|(k, features)| {
+        let (u, wi, wo, level) = (queries.u[k], queries.wi[k], queries.wo[k], queries.level[k]);
+        let mut input = features.clone();
+        input.extend(encoding(&checkpoint.header.architecture, u, wi, wo, level));
+        input
+    });
+    let inputs: Vec<Vec<f64>> = inputs.collect();
+    let outputs = inputs.chunks(height * width).flat_map(|image| inception(checkpoint, image, height, width));
+    let above = |k: usize| square(queries.wi[k]) < 1.0 && square(queries.wo[k]) < 1.0;
+    let rgb = outputs.enumerate().map(|(k, y)| match above(k) {
+        true => shown(checkpoint, &y).map(|x| x.max(0.0)),
+        false => [0.0; 3],
+    });
+    rgb.collect()
+}
+
+fn inception(checkpoint: &Checkpoint, input: &[Vec<f64>], height: usize, width: usize) -> Vec<Vec<f64>> {
+    let DecoderConfig::Inception(config) = &checkpoint.header.architecture.model.decoder else {
+        panic!("no convolutions")
+    };
+    let around = |k: usize, side: usize| {
+        let near = |at: usize, by: usize, n: usize| (at + by + side * n - side / 2) % n;
+        let (row, column) = (k / width, k % width);
+        let places =
+            (0..side * side).map(move |s| (near(row, s / side, height), near(column, s % side, width)));
+        places.map(move |(i, j)| i * width + j).collect::<Vec<_>>()
+    };
+    let convolved = |name: &str, x: &[Vec<f64>], relu: bool| -> Vec<Vec<f64>> {
+        let weight = &checkpoint.tensors[&format!("decoder.{name}.weight")];
+        let bias = &checkpoint.tensors[&format!("decoder.{name}.bias")].data;
+        let [_, inputs, side, _] = weight.shape[..] else { panic!("{name}") };
+        let pixel = |k: usize| {
+            let near = around(k, side);
+            let rows = weight.data.chunks(inputs * side * side).zip(bias);
+            let sums = rows.map(|(row, bias)| {
+                let products = near.iter().enumerate().flat_map(|(s, at)| {
+                    x[*at].iter().enumerate().map(move |(c, x)| f64::from(row[c * side * side + s]) * x)
+                });
+                f64::from(*bias) + products.sum::<f64>()
+            });
+            sums.map(|v| if relu { v.max(0.0) } else { v }).collect()
+        };
+        (0..x.len()).map(pixel).collect()
+    };
+    let mut x = convolved("in", input, true);
+    for module in 0..config.modules {
+        let path = |name: &str, x: &[Vec<f64>]| convolved(&format!("module{module}.{name}"), x, true);
+        let largest = |k: usize| -> Vec<f64> {
+            let near = around(k, 3);
+            (0..config.width).map(|c| near.iter().map(|at| x[*at][c]).fold(f64::MIN, f64::max)).collect()
+        };
+        let most: Vec<Vec<f64>> = (0..x.len()).map(largest).collect();
+        let paths = [
+            path("path1", &x),
+            path("path2", &path("path2.reduce", &x)),
+            path("path3", &path("path3.reduce", &x)),
+            path("path4", &most),
+        ];
+        x = (0..x.len()).map(|k| paths.iter().flat_map(|path| path[k].clone()).collect()).collect();
+    }
+    convolved("out", &x, false)
+}
+
+/// RGB from the network's outputs.
+fn shown(checkpoint: &Checkpoint, y: &[f64]) -> [f64; 3] {
     let output = &checkpoint.header.architecture.model.output;
     [0, 1, 2].map(|c| {
         let mut x = match output.space {

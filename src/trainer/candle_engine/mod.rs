@@ -6,10 +6,10 @@
 #[cfg(test)]
 mod tests;
 
-use super::engine::{Engine, Gradient, Step, Take};
+use super::engine::{Engine, Gradient, Step, Take, patches};
 use crate::dataset::Block;
 use crate::error::{Error, Result};
-use crate::loss::{Means, Target};
+use crate::loss::{Means, Patches, Target};
 use crate::model::texture::{Sigmas, smoothed};
 use crate::model::variables::is_texture;
 use crate::model::{Inputs, Networks, Tables, Variables};
@@ -52,12 +52,9 @@ impl Job<'_> {
     /// The batch's loss and gradients.
     pub fn gradients(&self) -> Result<Gradients> {
         let pieces = self.step.pieces;
-        let samples = pieces.iter().map(|p| p.side() * p.side()).sum::<usize>();
-        let largest = pieces.first().map_or(1, |p| p.side() * p.side());
-        let per_chunk = (samples.div_ceil(MOST_CHUNKS).max(CHUNK_SAMPLES) / largest).max(1);
         let means = self.means();
         let parts: Vec<Gradients> = pieces
-            .par_chunks(per_chunk)
+            .par_chunks(self.per_chunk())
             .map(|chunk| self.chunk_gradients(chunk, means))
             .collect::<Result<_>>()?;
         let mut parts = parts.into_iter();
@@ -70,10 +67,21 @@ impl Job<'_> {
         Ok(total)
     }
 
+    /// Pieces that are one graph.
+    pub fn per_chunk(&self) -> usize {
+        if self.networks.architecture.neighbourhood().is_some() {
+            // Images of different levels are of different sizes.
+            return 1;
+        }
+        let pieces = self.step.pieces;
+        let samples = pieces.iter().map(|p| p.side() * p.side()).sum::<usize>();
+        let largest = pieces.first().map_or(1, |p| p.side() * p.side());
+        (samples.div_ceil(MOST_CHUNKS).max(CHUNK_SAMPLES) / largest).max(1)
+    }
+
     /// Counts that the batch's sums are divided by.
     pub fn means(&self) -> Means {
-        let pieces = self.step.pieces;
-        Means::of(pieces.first().map_or(1, |p| p.side()), pieces.iter().map(|p| p.patch()))
+        self.step.means(&self.networks.architecture)
     }
 
     /// The queries and targets of some pieces of a batch.
@@ -91,15 +99,16 @@ impl Job<'_> {
             level.extend_from_slice(&queries.level);
             rgb.extend(piece.target().iter().map(|p| p.map(|v| v.clamp(low, high))));
         }
-        let patches: Vec<usize> = pieces.iter().map(|p| p.patch()).collect();
+        let patches: Vec<Patches> = pieces.iter().map(|p| patches(p.layout(), architecture)).collect();
         let weights: Vec<f32> = pieces
             .iter()
             .map(|p| f32::from(self.step.highest_level.is_none_or(|most| p.level() <= most as f32)))
             .collect();
-        Ok(Chunk {
-            inputs: Inputs::new(architecture, &u, &wi, &wo, &level, self.device)?,
-            target: Target::new(rgb, side, &patches, &weights, means, self.device)?,
-        })
+        let mut inputs = Inputs::new(architecture, &u, &wi, &wo, &level, self.device)?;
+        if let ([piece], Some(_)) = (pieces, architecture.neighbourhood()) {
+            inputs = inputs.as_images(piece.layout().mosaic());
+        }
+        Ok(Chunk { inputs, target: Target::new(rgb, side, &patches, &weights, means, self.device)? })
     }
 
     fn chunk_gradients(&self, pieces: &[Block], means: Means) -> Result<Gradients> {
