@@ -261,7 +261,8 @@ fn engines_agree_on_losses_and_gradients_of_whole_tiles_and_of_parts() {
         piece(4, 3.0, &[[0.0; 2]; 16], 4),
     ];
     let worst = |a: &[(String, Vec<f32>)], b: &[(String, Vec<f32>)]| -> (f32, String) {
-        let of = |((name, a), (_, b)): (&(String, Vec<f32>), &(String, Vec<f32>))| {
+        type Named = (String, Vec<f32>);
+        let of = |((name, a), (_, b)): (&Named, &Named)| {
             let scale = a.iter().fold(0.0f32, |m, v| m.max(v.abs()));
             let difference = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
             // The piece that reads the coarsest levels is left out.
