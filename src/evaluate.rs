@@ -45,9 +45,6 @@ pub struct Row {
     /// Of a sequence.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub flicker: Option<f64>,
-    /// Of a sequence, the most `flicker` that the reference's noise is expected to make of a perfect answer.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub flicker_noise: Option<f64>,
     /// Variance of the reference itself: a perfect answer's `mse_linear`.
     pub noise: Option<f64>,
 }
@@ -143,7 +140,6 @@ impl Bucket {
             flip: self.flip.value(),
             lpips: self.lpips.value(),
             flicker: None,
-            flicker_noise: None,
             noise: self.noise.value(),
         }
     }
@@ -254,15 +250,19 @@ pub fn motion_table(answerer: &dyn Reflectance, data: &Dataset, lpips: Option<&L
     }
     for sequence in &data.manifest().motion {
         let (mut bucket, mut flicker) = (Bucket::default(), Flicker::default());
-        for frame in &sequence.frames {
-            let (queries, reference) = data.read_view(&frame.name)?;
-            let (answer, variance) = (answerer.evaluate(&queries)?, frame.summary.variance);
+        for [a, b] in sequence.frames() {
+            let ((queries, mut reference), (_, other)) = (data.read_view(&a.name)?, data.read_view(&b.name)?);
+            let answer = answerer.evaluate(&queries)?;
+            flicker.add(&answer.pixels, [&reference.pixels, &other.pixels]);
+            for (half, other) in reference.pixels.iter_mut().zip(&other.pixels) {
+                *half = [0, 1, 2].map(|c| 0.5 * (half[c] + other[c]));
+            }
+            let variance = 0.25 * (a.summary.variance + b.summary.variance);
             let image = Likeness::new(answer.height, answer.width, &answer.pixels, &reference.pixels, lpips)?;
             bucket.add(&answer.pixels, &reference.pixels, variance, &[image]);
-            flicker.add(&answer.pixels, &reference.pixels, f64::from(variance));
         }
         let row = bucket.row(&format!("motion/{}", sequence.name), None);
-        rows.push(Row { flicker: flicker.value(), flicker_noise: flicker.noise(), ..row });
+        rows.push(Row { flicker: flicker.value(), ..row });
     }
     Ok(rows)
 }

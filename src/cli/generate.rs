@@ -64,7 +64,8 @@ pub struct Generate {
     /// A further light of the views, TILT,PAN in degrees; may be repeated.
     #[arg(long, value_parser = parse_light, allow_hyphen_values = true)]
     light: Vec<[f32; 2]>,
-    /// Frames of each of the sequences light-arc, camera-arc and zoom, of the views' size; 0 leaves them out.
+    /// Frames of each of the sequences light-arc, camera-arc and zoom, of the views' size; 0 leaves them out. A frame is
+    /// rendered in two halves, of --held-out-spp rays together.
     #[arg(long, default_value_t = 0, value_name = "FRAMES")]
     motion: usize,
     /// Degrees from frame to frame.

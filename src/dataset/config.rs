@@ -36,7 +36,8 @@ pub struct GenerateConfig {
     /// Directions \[tilt, pan\] of the views' lights in degrees: from the normal, and from x towards y.
     #[serde(default = "neumip_lights")]
     pub lights: Vec<[f32; 2]>,
-    /// Sequences of views, of the views' size; absent: none. Their sub-samples are `held_out_spp`, whatever `noise` is.
+    /// Sequences of views, of the views' size; absent: none. Half of `held_out_spp` are the sub-samples of
+    /// each half of a frame, whatever `noise` is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<Motion>,
     /// Sub-samples of a training sample.

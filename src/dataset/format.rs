@@ -2,7 +2,7 @@
 //!
 //! The folder: `dataset.json`; `height.exr` (one f32 channel Y, tile widths) where heights are stored; for
 //! file 0 of split train `train-00000.exr` (half R, G, B: `grid.rs`) and `train-00000.safetensors`
-//! (`table.rs`); views, and the frames of sequences, as `views-NAME.exr` (`query_frame.rs`); for people `contact-sheet.png`; and while shards are
+//! (`table.rs`); views, and the pictures of sequences, as `views-NAME.exr` (`query_frame.rs`); for people `contact-sheet.png`; and while shards are
 //! being made, what each of them has (`shard.rs`).
 
 use super::{
@@ -10,7 +10,7 @@ use super::{
     config::{GenerateConfig, MAX_FILES},
     folder::read_json,
     frame::MAX_PIXELS,
-    motion::frame_name,
+    motion::{HALVES, picture_name},
 };
 use crate::error::{Error, Result};
 use neumip_export::Measure;
@@ -229,20 +229,25 @@ impl ViewInfo {
 pub struct SequenceInfo {
     /// What moves.
     pub name: String,
-    /// The frames in order, of one size.
-    pub frames: Vec<ViewInfo>,
+    /// The pictures, all of one size: frame after frame, its two halves, which are independent estimates of it.
+    pub pictures: Vec<ViewInfo>,
 }
 
 impl SequenceInfo {
+    /// The two halves of every frame; of one that was not finished, nothing.
+    pub fn frames(&self) -> impl Iterator<Item = [&ViewInfo; HALVES]> {
+        self.pictures.as_chunks::<HALVES>().0.iter().map(|halves| halves.each_ref())
+    }
+
     fn validate(&self) -> Result<()> {
-        for (index, frame) in self.frames.iter().enumerate() {
-            frame.validate()?;
-            let field = || format!("motion.{}.frames[{index}]", self.name);
-            let expected = frame_name(&self.name, index);
-            if frame.name != expected {
-                return Err(Error::config(field(), format!("is named {}, not {expected}", frame.name)));
+        for (index, picture) in self.pictures.iter().enumerate() {
+            picture.validate()?;
+            let field = || format!("motion.{}.pictures[{index}]", self.name);
+            let expected = picture_name(&self.name, index);
+            if picture.name != expected {
+                return Err(Error::config(field(), format!("is named {}, not {expected}", picture.name)));
             }
-            if [frame.height, frame.width] != [self.frames[0].height, self.frames[0].width] {
+            if [picture.height, picture.width] != [self.pictures[0].height, self.pictures[0].width] {
                 return Err(Error::config(field(), "is not of the size of the first"));
             }
         }
@@ -326,9 +331,9 @@ impl Manifest {
         }
     }
 
-    /// The views and the frames of all sequences.
+    /// The views and the pictures of all sequences.
     pub fn pictures(&self) -> impl Iterator<Item = &ViewInfo> {
-        self.views.iter().chain(self.motion.iter().flat_map(|sequence| &sequence.frames))
+        self.views.iter().chain(self.motion.iter().flat_map(|sequence| &sequence.pictures))
     }
 
     /// Reads and checks the description in a folder.

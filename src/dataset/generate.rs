@@ -5,7 +5,7 @@ use super::{
     config::{GenerateConfig, MAX_LIGHTS},
     format::{Manifest, SplitName},
     measure::Task,
-    motion::{SEQUENCES, frame_name},
+    motion::{HALVES, SEQUENCES, picture_name},
     origin::earlier_amounts,
     plan::{Plan, plans},
     progress::{Meter, Progress},
@@ -25,7 +25,7 @@ use std::{ops::ControlFlow, path::Path};
 const SAMPLES_OF_A_SPLIT: u64 = 1 << 48;
 /// The first place after the splits.
 const FIRST_VIEW: u64 = 8;
-/// The first place after the views: one a sequence, whose frames share their random numbers.
+/// The first place after the views: two a sequence, whose frames share their random numbers half by half.
 const FIRST_SEQUENCE: u64 = FIRST_VIEW + MAX_LIGHTS as u64;
 
 /// Renders a dataset of `source` into the folder `out` and returns its description.
@@ -101,8 +101,8 @@ enum Item {
     File(usize, usize),
     /// The view of the scene at a place.
     View(usize),
-    /// Of the sequence at a place, the frame of that number.
-    Frame(usize, usize),
+    /// Of the sequence at a place, the picture of that number.
+    Motion(usize, usize),
 }
 
 /// Where files go.
@@ -111,7 +111,7 @@ trait Sink {
     fn has(&mut self, work: &Work, item: Item) -> Result<bool>;
     fn heights(&mut self, height: usize, width: usize, values: Vec<f32>) -> Result<()>;
     fn file(&mut self, name: SplitName, index: usize, side: usize, blocks: &[Block]) -> Result<()>;
-    /// Takes a view, or the next frame of a sequence.
+    /// Takes a view, or the next picture of a sequence.
     fn view(&mut self, sequence: Option<&str>, name: &str, picture: Picture) -> Result<()>;
 }
 
@@ -153,13 +153,14 @@ impl<'a> Work<'a> {
         let files = |plan: usize| (0..self.plans[plan].files()).map(move |file| Item::File(plan, file));
         let heights = self.config.heights.then_some(Item::Heights);
         let training = self.plans.len().saturating_sub(1);
-        let frames = self.config.motion.map_or(0, |motion| motion.frames);
+        let pictures = self.config.motion.map_or(0, |motion| HALVES * motion.frames);
         heights
             .into_iter()
             .chain((0..training).flat_map(files))
             .chain((0..self.scenes.len()).map(Item::View))
             .chain(
-                (0..SEQUENCES.len()).flat_map(move |k| (0..frames).map(move |frame| Item::Frame(k, frame))),
+                (0..SEQUENCES.len())
+                    .flat_map(move |k| (0..pictures).map(move |picture| Item::Motion(k, picture))),
             )
             .chain((training..self.plans.len()).flat_map(files))
     }
@@ -171,7 +172,7 @@ impl<'a> Work<'a> {
                 let plan = &self.plans[plan];
                 (plan.blocks_of(file).len() * plan.side * plan.side) as u64
             }
-            Item::View(_) | Item::Frame(..) => (self.config.view_size * self.config.view_size) as u64,
+            Item::View(_) | Item::Motion(..) => (self.config.view_size * self.config.view_size) as u64,
         }
     }
 
@@ -198,14 +199,16 @@ impl<'a> Work<'a> {
                 let picture = self.picture(scene, FIRST_VIEW + index as u64, &self.config, meter)?;
                 sink.view(None, &scene.name, picture)?;
             }
-            Item::Frame(sequence, frame) => {
+            Item::Motion(sequence, index) => {
                 let Some(motion) = self.config.motion else { return Ok(()) };
                 meter.enter("motion");
-                let scene = motion.scene(sequence, frame);
+                let scene = motion.scene(sequence, index / HALVES);
                 // As many sub-samples in every frame: where they differ, noise would move.
-                let config = GenerateConfig { noise: None, ..self.config.clone() };
-                let picture = self.picture(&scene, FIRST_SEQUENCE + sequence as u64, &config, meter)?;
-                sink.view(Some(SEQUENCES[sequence]), &scene.name, picture)?;
+                let held_out_spp = self.config.held_out_spp.div_ceil(HALVES);
+                let config = GenerateConfig { noise: None, held_out_spp, ..self.config.clone() };
+                let place = FIRST_SEQUENCE + (HALVES * sequence + index % HALVES) as u64;
+                let picture = self.picture(&scene, place, &config, meter)?;
+                sink.view(Some(SEQUENCES[sequence]), &picture_name(SEQUENCES[sequence], index), picture)?;
             }
         }
         meter.check()
@@ -280,10 +283,10 @@ impl Sink for Writer {
             Item::View(index) => {
                 Ok(index < self.manifest().views.len() || self.adopt_view(None, &work.scenes[index].name)?)
             }
-            Item::Frame(k, frame) => {
+            Item::Motion(k, index) => {
                 let sequence = SEQUENCES[k];
-                let name = frame_name(sequence, frame);
-                Ok(frame < self.frames(sequence) || self.adopt_view(Some(sequence), &name)?)
+                let name = picture_name(sequence, index);
+                Ok(index < self.pictures(sequence) || self.adopt_view(Some(sequence), &name)?)
             }
         }
     }
@@ -307,7 +310,7 @@ impl Sink for ShardWriter {
             Item::Heights => self.has_heights(),
             Item::File(plan, file) => self.has_file(work.plans[plan].name, file),
             Item::View(index) => self.has_view(&work.scenes[index].name),
-            Item::Frame(sequence, frame) => self.has_view(&frame_name(SEQUENCES[sequence], frame)),
+            Item::Motion(sequence, index) => self.has_view(&picture_name(SEQUENCES[sequence], index)),
         })
     }
 

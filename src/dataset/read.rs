@@ -121,7 +121,7 @@ impl Dataset {
         Split { root: self.root.clone(), name, resolution: self.manifest.resolution, info: info.clone() }
     }
 
-    /// Queries and answers of a view or of a frame of a sequence, by its name in the description.
+    /// Queries and answers of a view or of a picture of a sequence, by its name in the description.
     ///
     /// # Errors
     /// `File` if there is no such view or it is damaged.

@@ -100,7 +100,7 @@ struct Description {
     heights: Option<HeightInfo>,
     /// Files of blocks by their names.
     files: BTreeMap<String, FileInfo>,
-    /// Views and frames of sequences by their names.
+    /// Views and pictures of sequences by their names.
     views: BTreeMap<String, ViewInfo>,
 }
 

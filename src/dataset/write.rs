@@ -208,7 +208,7 @@ impl Writer {
         Ok(true)
     }
 
-    /// Takes a view, or the next frame of a sequence, from the shards; false if none of them has it.
+    /// Takes a view, or the next picture of a sequence, from the shards; false if none of them has it.
     pub(crate) fn adopt_view(&mut self, sequence: Option<&str>, name: &str) -> Result<bool> {
         let Some(info) = self.collected.views.remove(name) else { return Ok(false) };
         check_bytes(&self.root.join(info.file()), info.bytes)?;
@@ -220,15 +220,15 @@ impl Writer {
         let Some(name) = sequence else { return self.manifest.views.push(info) };
         let motion = &mut self.manifest.motion;
         match motion.iter_mut().find(|sequence| sequence.name == name) {
-            Some(sequence) => sequence.frames.push(info),
-            None => motion.push(SequenceInfo { name: name.into(), frames: vec![info] }),
+            Some(sequence) => sequence.pictures.push(info),
+            None => motion.push(SequenceInfo { name: name.into(), pictures: vec![info] }),
         }
     }
 
-    /// Frames of a sequence that are there.
-    pub(crate) fn frames(&self, sequence: &str) -> usize {
+    /// Number of pictures of a sequence that are there.
+    pub(crate) fn pictures(&self, sequence: &str) -> usize {
         let found = self.manifest.motion.iter().find(|found| found.name == sequence);
-        found.map_or(0, |sequence| sequence.frames.len())
+        found.map_or(0, |sequence| sequence.pictures.len())
     }
 
     /// Takes the height map from the shards; false if none of them has it.
@@ -246,7 +246,7 @@ impl Writer {
         splits + views + self.collected.samples(&self.manifest)
     }
 
-    /// Writes a view, or the next frame of a sequence: a picture as queries and answers, with the mean variance of
+    /// Writes a view, or the next picture of a sequence: a picture as queries and answers, with the mean variance of
     /// the answers.
     ///
     /// # Errors

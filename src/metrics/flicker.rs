@@ -1,68 +1,57 @@
 //! Flicker: the error of the difference of two frames over the energy of the true difference.
 //!
 //! 0 for a perfect answer, 1 for one in which nothing moves, more where motion is invented. A steady error, such as a
-//! wrong colour, is none. The reference's own noise counts as motion of the reference: its frames share their random
-//! numbers, so that most of it cancels, and [`Flicker::noise`] bounds what is left.
+//! wrong colour, is none. Squares of a noisy reference would count its noise as motion; so there are two estimates of
+//! every frame, independent of each other, and products of them stand for squares: their expectation has no noise in
+//! it. What is left scatters around the truth, and a nearly perfect answer may come out a little below 0.
 
 /// Sums over the frames of a sequence, taken one after the other.
 #[derive(Clone, Debug, Default)]
 pub struct Flicker {
     last: Option<Frame>,
-    /// Squares of the error's change and of the reference's change.
+    /// Estimates of the squares of the error's change and of the true change.
     error: f64,
     motion: f64,
-    /// Expected squares of the noise's change if the noise of two frames had nothing in common.
-    noise: f64,
 }
 
 #[derive(Clone, Debug)]
 struct Frame {
     answer: Vec<[f32; 3]>,
-    reference: Vec<[f32; 3]>,
-    variance: f64,
+    halves: [Vec<[f32; 3]>; 2],
 }
 
 impl Flicker {
-    /// Adds the next frame of a sequence (linear RGB, clamped to \[0, 1\] as for `mse`, of the pixels of the one before)
-    /// and the mean variance of the reference's values.
-    pub fn add(&mut self, answer: &[[f32; 3]], reference: &[[f32; 3]], variance: f64) {
+    /// Adds the next frame of a sequence: the answer and two independent estimates of the truth, linear RGB that is
+    /// clamped to \[0, 1\] as for `mse`, pixels as in the frame before.
+    pub fn add(&mut self, answer: &[[f32; 3]], halves: [&[[f32; 3]]; 2]) {
         let clamped = |pixels: &[[f32; 3]]| pixels.iter().map(|p| p.map(|v| v.clamp(0.0, 1.0))).collect();
-        let next = Frame { answer: clamped(answer), reference: clamped(reference), variance };
+        let next = Frame { answer: clamped(answer), halves: halves.map(clamped) };
         if let Some(last) = &self.last {
-            let of = |frame: &Frame, k: usize, c: usize| {
-                [frame.answer[k][c], frame.reference[k][c]].map(f64::from)
-            };
-            let pixels = [&last.answer, &last.reference, &next.answer, &next.reference].map(Vec::len);
-            let pixels = pixels.into_iter().min().unwrap_or(0);
-            for (k, c) in (0..pixels).flat_map(|k| (0..3).map(move |c| (k, c))) {
-                let ([a, r], [next_a, next_r]) = (of(last, k, c), of(&next, k, c));
-                self.error += ((next_a - a) - (next_r - r)).powi(2);
-                self.motion += (next_r - r).powi(2);
+            let [a, b] = [0, 1].map(|half| changes(&last.halves[half], &next.halves[half]));
+            for (own, (a, b)) in changes(&last.answer, &next.answer).zip(a.zip(b)) {
+                self.error += (own - a) * (own - b);
+                self.motion += a * b;
             }
-            self.noise += (3 * pixels) as f64 * (last.variance + next.variance);
         }
         self.last = Some(next);
     }
 
-    /// The flicker; none where nothing moves or a value is no number.
+    /// The flicker; none where nothing is seen to move or a value is no number.
     pub fn value(&self) -> Option<f64> {
-        self.over_motion(self.error)
+        Some(self.error / self.motion).filter(|v| self.motion > 0.0 && v.is_finite())
     }
+}
 
-    /// The most that a perfect, noiseless answer is expected to have: the flicker of the reference's noise if none of it
-    /// cancelled.
-    pub fn noise(&self) -> Option<f64> {
-        self.over_motion(self.noise)
-    }
-
-    fn over_motion(&self, sum: f64) -> Option<f64> {
-        Some(sum / self.motion).filter(|v| self.motion > 0.0 && v.is_finite())
-    }
+/// What every value changes by.
+fn changes<'a>(last: &'a [[f32; 3]], next: &'a [[f32; 3]]) -> impl Iterator<Item = f64> + 'a {
+    let pairs = last.as_flattened().iter().zip(next.as_flattened());
+    pairs.map(|(last, next)| f64::from(*next) - f64::from(*last))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::{Random, Stream};
 
     /// Rounding of f32 in squares of differences.
     const ROUNDING: f64 = 1e-5;
@@ -70,7 +59,7 @@ mod tests {
     fn of(answers: [[f32; 3]; 3], references: [[f32; 3]; 3]) -> Flicker {
         let mut flicker = Flicker::default();
         for (answer, reference) in answers.iter().zip(&references) {
-            flicker.add(&[*answer; 4], &[*reference; 4], 0.01);
+            flicker.add(&[*answer; 4], [&[*reference; 4]; 2]);
         }
         flicker
     }
@@ -90,8 +79,32 @@ mod tests {
         }
         let changed = of([truth[0], truth[1], [0.51, 0.2, 0.5]], truth).value().unwrap();
         assert!(changed > ROUNDING, "{changed}");
-        let noise = of(truth, truth).noise().unwrap();
-        assert!((noise - 2.0 * 3.0 * 0.02 / motion).abs() < ROUNDING * noise, "{noise}");
+    }
+
+    #[test]
+    fn noise_is_no_motion() {
+        /// Values of a frame, and by how much they move and scatter: half as much motion as noise.
+        const VALUES: usize = 30_000;
+        const MOVED: f32 = 0.01;
+        const NOISE: f32 = 0.02;
+        /// Five standard errors: a product's deviation is 2 NOISE^2 + ... = 0.001, over sqrt(90,000) and MOVED^2.
+        const SCATTER: f64 = 0.2;
+        let frame = |k: usize, of: u64| -> Vec<[f32; 3]> {
+            let mut random = Random::new(of, Stream::Probe, k as u64);
+            let noise = if of == 0 { 0.0 } else { NOISE };
+            let value = |_| 0.4 + MOVED * k as f32 + noise * random.normal();
+            let values: Vec<f32> = (0..3 * VALUES).map(value).collect();
+            values.as_chunks().0.to_vec()
+        };
+        let (mut apart, mut alike) = (Flicker::default(), Flicker::default());
+        for k in 0..2 {
+            let (truth, a, b) = (frame(k, 0), frame(k, 1), frame(k, 2));
+            apart.add(&truth, [&a, &b]);
+            alike.add(&truth, [&a, &a]);
+        }
+        assert!(apart.value().unwrap().abs() < SCATTER, "{:?}", apart.value());
+        // One estimate taken twice: 8 parts of noise in 9.
+        assert!(alike.value().unwrap() > 0.8, "{:?}", alike.value());
     }
 
     #[test]

@@ -61,10 +61,12 @@ fn frames_are_the_scenes_of_the_sequences() {
     assert_eq!(motion.iter().map(|sequence| sequence.name.as_str()).collect::<Vec<_>>(), SEQUENCES);
     assert_eq!(data.manifest().views.len(), SCENES.len());
     for (place, sequence) in motion.iter().enumerate() {
-        assert_eq!(sequence.frames.len(), MOTION.frames);
-        for (k, frame) in sequence.frames.iter().enumerate() {
-            let (queries, _) = data.read_view(&frame.name).unwrap();
-            assert_eq!(queries, MOTION.scene(place, k).queries(12, 1, [16, 16]));
+        assert_eq!(sequence.frames().count(), MOTION.frames);
+        for (k, halves) in sequence.frames().enumerate() {
+            for half in halves {
+                let (queries, _) = data.read_view(&half.name).unwrap();
+                assert_eq!(queries, MOTION.scene(place, k).queries(12, 1, [16, 16]));
+            }
         }
     }
     // Nothing is said of sequences where there are none, as it was before there were any.
@@ -91,12 +93,14 @@ fn noise_does_not_move() {
     };
     let apart = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     for name in SEQUENCES {
-        let frames: Vec<_> = (0..MOTION.frames).map(|k| noise(&format!("{name}-{k:03}"))).collect();
+        let frames: Vec<_> = (0..MOTION.frames).map(|k| noise(&format!("{name}-{k:03}-a"))).collect();
         for frame in &frames[1..] {
             assert!(apart(&frames[0], frame) <= STORED, "{name}: {}", apart(&frames[0], frame));
         }
-        // Another picture has noise of its own.
-        assert!(apart(&frames[0], &noise("s4")) > STORED);
+        // The other half has noise of its own, and so has a view.
+        for other in [format!("{name}-000-b"), "s4".into()] {
+            assert!(apart(&frames[0], &noise(&other)) > STORED);
+        }
     }
 }
 
@@ -109,11 +113,13 @@ fn sequences_are_resumed_and_made_by_shards() {
     let mut frames = 0;
     let stopped = generate(&NOISY, &moving(), folder.path(), Existing::Refuse, &mut |progress| {
         frames += usize::from(progress.split == "motion");
-        if frames == 6 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        if frames == 12 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     assert!(matches!(stopped, Err(Error::Interrupted(_))));
     let made = contents(folder.path());
-    assert!(made.contains_key("views-camera-arc-001.exr") && !made.contains_key("views-camera-arc-002.exr"));
+    assert!(
+        made.contains_key("views-camera-arc-001-b.exr") && !made.contains_key("views-camera-arc-002-a.exr")
+    );
     generate(&NOISY, &moving(), folder.path(), Existing::Resume, &mut go).unwrap();
     assert!(contents(folder.path()) == expected);
 
@@ -144,7 +150,7 @@ fn a_perfect_answer_does_not_flicker_and_a_still_one_is_one() {
     let exact = motion_table(&Exact, &data, None).unwrap();
     println!("flicker of the exact answer: {:?}", flicker(&exact));
     assert!(flicker(&exact).iter().all(|v| *v <= ROUNDED), "{exact:?}");
-    assert!(exact.iter().all(|row| row.flicker_noise == Some(0.0) && row.queries == 4 * 144));
+    assert!(exact.iter().all(|row| row.queries == 4 * 144));
     assert!(exact.iter().all(|row| row.metrics().flicker == row.flicker && row.flip.is_some()));
     // A hundredth in the second half of the frames is one jump, and noticed.
     let jump = motion_table(&Jump(Default::default()), &data, None).unwrap();
@@ -160,8 +166,12 @@ fn frames_out_of_place_are_refused() {
     let path = folder.path().join(MANIFEST);
     let text = std::fs::read_to_string(&path).unwrap();
     for (from, to, expected) in [
-        ("\"name\": \"zoom-002\"", "\"name\": \"zoom-001\"", "motion.zoom.frames[2]: is named zoom-001"),
-        ("\"name\": \"zoom\"", "\"name\": \"../zoom\"", "motion.../zoom.frames[0]: is named zoom-000"),
+        (
+            "\"name\": \"zoom-002-a\"",
+            "\"name\": \"zoom-001-a\"",
+            "motion.zoom.pictures[4]: is named zoom-001-a",
+        ),
+        ("\"name\": \"zoom\"", "\"name\": \"../zoom\"", "motion.../zoom.pictures[0]: is named zoom-000-a"),
         ("\"frames\": 4", "\"frames\": 1", "motion.frames: 1"),
     ] {
         assert!(text.contains(from), "{from}");
@@ -170,7 +180,7 @@ fn frames_out_of_place_are_refused() {
         assert!(error.contains(expected) && !error.contains('\n'), "{error}");
     }
     std::fs::write(&path, &text).unwrap();
-    std::fs::write(folder.path().join("views-zoom-003.exr"), "damaged").unwrap();
+    std::fs::write(folder.path().join("views-zoom-003-b.exr"), "damaged").unwrap();
     let error = Dataset::open(folder.path()).unwrap_err().to_string();
-    assert!(error.contains("views-zoom-003.exr: has 7 bytes"), "{error}");
+    assert!(error.contains("views-zoom-003-b.exr: has 7 bytes"), "{error}");
 }
