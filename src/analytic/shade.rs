@@ -9,8 +9,9 @@ use std::f32::consts::{FRAC_1_PI, FRAC_2_PI, PI};
 /// Least cosine with the viewer: where the mean slopes look away, something still looks at it.
 const LEAST_COSINE: f32 = 0.01;
 
-/// By how much a variance of slopes within the texel widens alpha^2. A Gaussian's share would be 2; slopes of relief have
-/// shorter tails.
+/// By how much a variance of slopes within the texel widens alpha^2. A Gaussian's width would say 2, its peak under a narrow
+/// lobe 2.5; relief's slopes are more peaked. Chosen by the error on rocks, metal-rings, turtle-shell and leather, where 1
+/// to 2 differ by a few per cent.
 const WIDENING: f32 = 1.5;
 /// Share of the mean slope's turn towards the viewer that counts: the rest is hidden behind other relief.
 const LEANING: f32 = 0.5;
