@@ -2,6 +2,7 @@
 
 use crate::dataset::{Dataset, SplitName};
 use crate::error::Result;
+use crate::lpips::Lpips;
 use crate::metrics::flicker::Flicker;
 use crate::metrics::flip::flip;
 use crate::metrics::ssim::ssim;
@@ -38,6 +39,9 @@ pub struct Row {
     pub ssim: Option<f64>,
     /// Mean over the same images.
     pub flip: Option<f64>,
+    /// Mean over the images that are large enough, where there are weights.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lpips: Option<f64>,
     /// Of a sequence.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub flicker: Option<f64>,
@@ -58,8 +62,8 @@ impl Row {
             psnr: self.psnr,
             ssim: self.ssim,
             flip: self.flip,
+            lpips: self.lpips,
             flicker: self.flicker,
-            ..Metrics::default()
         }
     }
 }
@@ -87,11 +91,23 @@ impl Mean {
 struct Likeness {
     ssim: Option<f64>,
     flip: Option<f64>,
+    lpips: Option<f64>,
 }
 
 impl Likeness {
-    fn new(height: usize, width: usize, answer: &[[f32; 3]], reference: &[[f32; 3]]) -> Self {
-        Self { ssim: ssim(height, width, answer, reference), flip: flip(height, width, answer, reference) }
+    fn new(
+        height: usize,
+        width: usize,
+        answer: &[[f32; 3]],
+        reference: &[[f32; 3]],
+        lpips: Option<&Lpips>,
+    ) -> Result<Self> {
+        let lpips = lpips.map(|network| network.distance(height, width, answer, reference)).transpose()?;
+        Ok(Self {
+            ssim: ssim(height, width, answer, reference),
+            flip: flip(height, width, answer, reference),
+            lpips: lpips.flatten(),
+        })
     }
 }
 
@@ -100,6 +116,7 @@ struct Bucket {
     sum: ErrorSum,
     ssim: Mean,
     flip: Mean,
+    lpips: Mean,
     noise: Mean,
 }
 
@@ -110,6 +127,7 @@ impl Bucket {
         for image in images {
             self.ssim.add(image.ssim);
             self.flip.add(image.flip);
+            self.lpips.add(image.lpips);
         }
     }
 
@@ -123,6 +141,7 @@ impl Bucket {
             psnr: errors.psnr(),
             ssim: self.ssim.value(),
             flip: self.flip.value(),
+            lpips: self.lpips.value(),
             flicker: None,
             flicker_noise: None,
             noise: self.noise.value(),
@@ -149,15 +168,20 @@ pub fn refusal(answerer: &dyn Reflectance, data: &Dataset, name: SplitName) -> R
     Ok(None)
 }
 
-/// Errors on the given splits: a row a level and one for the whole split. Splits that the answerer cannot be asked
-/// ([`refusal`]) have no rows.
+/// Errors on the given splits: a row a level and one for the whole split; with weights of LPIPS that too. Splits that the
+/// answerer cannot be asked ([`refusal`]) have no rows.
 ///
 /// # Errors
 /// `File` for data that cannot be read, or what the answerer reports.
-pub fn error_table(answerer: &dyn Reflectance, data: &Dataset, splits: &[SplitName]) -> Result<Vec<Row>> {
+pub fn error_table(
+    answerer: &dyn Reflectance,
+    data: &Dataset,
+    splits: &[SplitName],
+    lpips: Option<&Lpips>,
+) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for &name in splits {
-        rows.extend(split_table(answerer, data, name, u64::MAX)?);
+        rows.extend(split_table(answerer, data, name, u64::MAX, lpips)?);
     }
     Ok(rows)
 }
@@ -171,6 +195,7 @@ pub fn split_table(
     data: &Dataset,
     name: SplitName,
     most: u64,
+    lpips: Option<&Lpips>,
 ) -> Result<Vec<Row>> {
     if refusal(answerer, data, name)?.is_some() {
         return Ok(Vec::new());
@@ -185,7 +210,7 @@ pub fn split_table(
         for block in split.read_file(file)? {
             let answer = answerer.evaluate(&block.queries(data.resolution()))?.pixels;
             let target = block.target();
-            let images = images(block.side(), block.patch(), &answer, &target);
+            let images = images(block.side(), block.patch(), &answer, &target, lpips)?;
             let level = levels.entry(block.level().floor() as usize).or_default();
             for bucket in [level, &mut all] {
                 bucket.add(&answer, &target, block.noise(), &images);
@@ -202,7 +227,7 @@ pub fn split_table(
 ///
 /// # Errors
 /// As [`error_table`].
-pub fn view_table(answerer: &dyn Reflectance, data: &Dataset) -> Result<Vec<Row>> {
+pub fn view_table(answerer: &dyn Reflectance, data: &Dataset, lpips: Option<&Lpips>) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     if answerer.support() != Support::Pointwise {
         return Ok(rows);
@@ -210,7 +235,7 @@ pub fn view_table(answerer: &dyn Reflectance, data: &Dataset) -> Result<Vec<Row>
     for view in &data.manifest().views {
         let (queries, reference) = data.read_view(&view.name)?;
         let answer = answerer.evaluate(&queries)?;
-        let image = Likeness::new(answer.height, answer.width, &answer.pixels, &reference.pixels);
+        let image = Likeness::new(answer.height, answer.width, &answer.pixels, &reference.pixels, lpips)?;
         let mut bucket = Bucket::default();
         bucket.add(&answer.pixels, &reference.pixels, view.summary.variance, &[image]);
         rows.push(bucket.row(&format!("views/{}", view.name), None));
@@ -222,7 +247,7 @@ pub fn view_table(answerer: &dyn Reflectance, data: &Dataset) -> Result<Vec<Row>
 ///
 /// # Errors
 /// As [`error_table`].
-pub fn motion_table(answerer: &dyn Reflectance, data: &Dataset) -> Result<Vec<Row>> {
+pub fn motion_table(answerer: &dyn Reflectance, data: &Dataset, lpips: Option<&Lpips>) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     if answerer.support() != Support::Pointwise {
         return Ok(rows);
@@ -232,7 +257,7 @@ pub fn motion_table(answerer: &dyn Reflectance, data: &Dataset) -> Result<Vec<Ro
         for frame in &sequence.frames {
             let (queries, reference) = data.read_view(&frame.name)?;
             let (answer, variance) = (answerer.evaluate(&queries)?, frame.summary.variance);
-            let image = Likeness::new(answer.height, answer.width, &answer.pixels, &reference.pixels);
+            let image = Likeness::new(answer.height, answer.width, &answer.pixels, &reference.pixels, lpips)?;
             bucket.add(&answer.pixels, &reference.pixels, variance, &[image]);
             flicker.add(&answer.pixels, &reference.pixels, f64::from(variance));
         }
@@ -243,14 +268,20 @@ pub fn motion_table(answerer: &dyn Reflectance, data: &Dataset) -> Result<Vec<Ro
 }
 
 /// What is said of every patch of a block.
-fn images(side: usize, patch: usize, answer: &[[f32; 3]], target: &[[f32; 3]]) -> Vec<Likeness> {
+fn images(
+    side: usize,
+    patch: usize,
+    answer: &[[f32; 3]],
+    target: &[[f32; 3]],
+    lpips: Option<&Lpips>,
+) -> Result<Vec<Likeness>> {
     let across = side / patch;
     let cut = |pixels: &[[f32; 3]], k: usize| -> Vec<[f32; 3]> {
         let (top, left) = (k / across * patch, k % across * patch);
         (0..patch * patch).map(|i| pixels[(top + i / patch) * side + left + i % patch]).collect()
     };
     let patches = (0..across * across).into_par_iter();
-    patches.map(|k| Likeness::new(patch, patch, &cut(answer, k), &cut(target, k))).collect()
+    patches.map(|k| Likeness::new(patch, patch, &cut(answer, k), &cut(target, k), lpips)).collect()
 }
 
 /// Time per query of an answerer on one thread.
@@ -364,10 +395,13 @@ mod tests {
         let target: Vec<[f32; 3]> = (0..side * side).map(|k| [(k % 5) as f32 / 5.0; 3]).collect();
         let mut answer = target.clone();
         assert!(
-            images(side, 4, &answer, &target).iter().all(|image| (image.ssim, image.flip) == (None, None))
+            images(side, 4, &answer, &target, None)
+                .unwrap()
+                .iter()
+                .all(|image| (image.ssim, image.flip) == (None, None))
         );
         answer[0] = [1.0; 3];
-        let found = images(side, 8, &answer, &target);
+        let found = images(side, 8, &answer, &target, None).unwrap();
         assert_eq!(found.len(), 4);
         assert!(found[0].ssim.unwrap() < 1.0 && found[0].flip.unwrap() > 0.0);
         for image in &found[1..] {

@@ -20,7 +20,7 @@
 //!   │
 //! analytic ─ a material's own maps, marched and shaded: the rival that is not neural
 //!   │
-//! metrics, evaluate, bench ─ errors by split and level, time per query, rates beside the machine's peak
+//! metrics, lpips (candle), evaluate, bench ─ errors by split and level, time per query, rates beside the machine's peak
 //!   │
 //! reproduce, results, chart ─ the paper's questions, what came of them, speed against accuracy
 //!   │
@@ -41,6 +41,7 @@ pub mod golden;
 pub mod inference;
 pub mod kernels;
 pub mod loss;
+pub mod lpips;
 pub mod metrics;
 pub mod model;
 pub mod onnx_material;

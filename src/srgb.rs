@@ -1,10 +1,14 @@
 //! The sRGB transfer function (IEC 61966-2-1), both ways.
 
-/// Linear light as 8 bits of sRGB, clamped to \[0, 1\].
-pub fn encode(linear: f32) -> u8 {
+/// Linear light, clamped to \[0, 1\], as sRGB in \[0, 1\].
+pub fn encoded(linear: f32) -> f32 {
     let x = linear.clamp(0.0, 1.0);
-    let encoded = if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 };
-    (encoded * 255.0).round() as u8
+    if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }
+}
+
+/// The same as 8 bits.
+pub fn encode(linear: f32) -> u8 {
+    (encoded(linear) * 255.0).round() as u8
 }
 
 /// Linear light of an sRGB value in \[0, 1\].

@@ -7,7 +7,7 @@ use std::process::Command;
 
 /// What each module of `src/` may import besides itself and [`ANYWHERE`]. `export` is the exporter's crate but for its
 /// `config`, which is our `config`'s own ground. A module that is missing here fails.
-const FLOW: [(&str, &[&str]); 25] = [
+const FLOW: [(&str, &[&str]); 26] = [
     ("error", &["export"]),
     ("config", &[]),
     ("query", &["error"]),
@@ -17,6 +17,8 @@ const FLOW: [(&str, &[&str]); 25] = [
     ("engine", &["query", "kernels", "dataset", "export"]),
     ("srgb", &[]),
     ("metrics", &["srgb"]),
+    // A metric, but a network in candle.
+    ("lpips", &["srgb"]),
     // Packets of rays run on the instruction sets of the kernels.
     ("reference", &["query", "random", "kernels", "srgb"]),
     // Files appear whole by the exporter's one routine, and the measure of the values is the checkpoint's.
@@ -44,7 +46,7 @@ const FLOW: [(&str, &[&str]); 25] = [
     ("inference", &["query", "kernels", "engine", "model", "export"]),
     ("bench", &["engine", "kernels", "model", "trainer", "dataset", "query", "random", "export"]),
     // Its rows leave as the metrics of results.
-    ("evaluate", &["query", "metrics", "dataset", "random", "results"]),
+    ("evaluate", &["query", "metrics", "lpips", "dataset", "random", "results"]),
     ("onnx_material", &["query"]),
     ("golden", &["model", "query", "random", "export"]),
     ("analytic", &["query", "random", "kernels", "reference"]),
@@ -53,7 +55,10 @@ const FLOW: [(&str, &[&str]); 25] = [
     ("report", &["query", "metrics", "srgb"]),
     (
         "reproduce",
-        &["config", "analytic", "query", "random", "dataset", "evaluate", "results", "report", "export"],
+        &[
+            "config", "analytic", "lpips", "query", "random", "dataset", "evaluate", "results", "report",
+            "export",
+        ],
     ),
     ("cli", EVERYTHING),
 ];
@@ -62,6 +67,7 @@ const EVERYTHING: &[&str] = &[
     "random",
     "kernels",
     "metrics",
+    "lpips",
     "reference",
     "dataset",
     "engine",
@@ -86,8 +92,17 @@ const ANYWHERE: [&str; 2] = ["error", "config"];
 /// Modules that import what [`FLOW`] lists and nothing else: others could be built on them alone.
 const BARE: [&str; 5] = ["query", "random", "kernels", "metrics", "srgb"];
 /// Where candle may be mentioned; everything else works without it.
-const CANDLE: [&str; 8] =
-    ["error.rs", "kernels/custom_op.rs", "model/", "loss/", "trainer/", "inference.rs", "golden.rs", "cli/"];
+const CANDLE: [&str; 9] = [
+    "error.rs",
+    "kernels/custom_op.rs",
+    "model/",
+    "loss/",
+    "lpips/",
+    "trainer/",
+    "inference.rs",
+    "golden.rs",
+    "cli/",
+];
 
 const MOST_BYTES: u64 = 20 << 20;
 /// Half of the files of the program are shorter, and none is longer than the other.

@@ -1,6 +1,7 @@
 //! Metrics of images say what independent implementations of them say.
 
 use crate::python_environment;
+use neumip::lpips::Lpips;
 use neumip::metrics::flip::{flip, flip_map};
 use neumip::random::{Random, Stream};
 use serde::{Deserialize, Serialize};
@@ -8,11 +9,13 @@ use std::f32::consts::TAU;
 use std::path::Path;
 
 /// Largest difference of a pixel's FLIP from that of its authors' code: f32 on both sides, and small differences enter
-/// with exponents down to 0.35. Measured: 0.2e-4 at most.
+/// with exponents down to 0.35 (most where images are grey, which the way through sRGB leaves a tint of 1e-6).
+/// Measured: 0.2e-4 at most.
 const FLIP_PIXEL: f64 = 1e-4;
-/// Largest difference of the mean, which grey images have most of: the encoding to sRGB and back leaves them a tint of
-/// some 1e-6. Measured: 0.2e-4 at most.
-const FLIP_MEAN: f64 = 5e-5;
+/// Largest difference of the mean, in which the pixels' differences cancel. Measured: 5e-7 at most.
+const FLIP_MEAN: f64 = 1e-5;
+/// Largest difference of LPIPS from numpy's in f64, relative: sums of up to 363 products in f32. Measured: 7e-7 at most.
+const LPIPS: f64 = 1e-5;
 /// What a twin changes a channel of one pixel by: a difference that can just be seen.
 const CHANGED: f32 = 0.05;
 
@@ -108,9 +111,44 @@ fn flip_is_what_its_authors_code_says() {
     }
     for (pair, theirs) in pairs.iter_mut().zip(&theirs) {
         let value = &mut pair.answer[pair.width * pair.height / 2][1];
-        *value = if *value > 0.5 { *value - CHANGED } else { *value + CHANGED };
+        *value = if *value > 0.5 { value.min(1.0) - CHANGED } else { value.max(0.0) + CHANGED };
         assert!(apart(pair, theirs)[0] > FLIP_PIXEL);
     }
     // The mean of a small image shows one pixel.
     assert!(apart(&pairs[2], &theirs[2])[1] > FLIP_MEAN);
+}
+
+#[test]
+fn lpips_is_what_numpy_says() {
+    fn apart(network: &Lpips, pair: &Pair, theirs: f64) -> f64 {
+        let ours = network.distance(pair.height, pair.width, &pair.answer, &pair.reference).unwrap();
+        (ours.unwrap() - theirs).abs() / theirs
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let weights = folder.path().join("weights.safetensors");
+    let scripts = Path::new(env!("CARGO_MANIFEST_DIR")).join("scripts");
+    let mut pairs = vec![Pair::waves(31, 31, 0.1), Pair::waves(48, 64, 0.0), Pair::waves(40, 77, 0.3)];
+    // Values beyond [0, 1] are clamped on both sides.
+    pairs[2].answer.as_flattened_mut().iter_mut().for_each(|v| *v = 1.4 * *v - 0.2);
+    let theirs: Vec<f64> = ask("lpips_numpy.py", &pairs, &[&scripts, &weights]);
+    let network = Lpips::open(&weights).unwrap();
+    for (pair, theirs) in pairs.iter().zip(&theirs) {
+        let apart = apart(&network, pair, *theirs);
+        println!("{} x {}: LPIPS {theirs:.4}, apart {apart:.1e}", pair.height, pair.width);
+        assert!(apart <= LPIPS && *theirs > 0.01);
+    }
+    for (pair, theirs) in pairs.iter_mut().zip(&theirs) {
+        let same = network.distance(pair.height, pair.width, &pair.reference, &pair.reference).unwrap();
+        assert_eq!(same, Some(0.0));
+        let value = &mut pair.answer[pair.width * pair.height / 2][1];
+        *value = if *value > 0.5 { value.min(1.0) - CHANGED } else { value.max(0.0) + CHANGED };
+        assert!(apart(&network, pair, *theirs) > LPIPS);
+    }
+
+    assert_eq!(network.least_side(), 31);
+    let (Pair { answer, reference, .. }, small) = (&pairs[0], 30 * 31);
+    assert_eq!(network.distance(30, 31, &answer[..small], &reference[..small]).unwrap(), None);
+    assert_eq!(network.distance(31, 32, answer, reference).unwrap(), None);
+    let broken = vec![[f32::NAN; 3]; answer.len()];
+    assert_eq!(network.distance(31, 31, &broken, reference).unwrap(), None);
 }

@@ -79,7 +79,7 @@ fn undisturbed(_: &Event) -> ControlFlow<()> {
 
 fn test_psnr(run: &Path, data: &Dataset) -> f64 {
     let material = NeuralMaterial::from_checkpoint(&checkpoint::load(run).unwrap(), &Device::Cpu).unwrap();
-    let rows = error_table(&material, data, &[SplitName::Test]).unwrap();
+    let rows = error_table(&material, data, &[SplitName::Test], None).unwrap();
     rows.iter().find(|r| r.level.is_none()).unwrap().psnr.unwrap()
 }
 

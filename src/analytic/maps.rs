@@ -86,6 +86,9 @@ impl Maps {
         Pyramid { levels, height: self.sides[0], width: self.sides[1] }
     }
 
+    pub fn first(&self) -> Vec<f32> {
+        self.texels[0][..16].iter().map(|v| v.to_f32()).collect()
+    }
     pub fn bytes(&self) -> usize {
         let texels: usize = self.texels.iter().map(Vec::len).sum();
         size_of_val(&self.heights[..]) + texels * size_of::<f16>()

@@ -16,6 +16,8 @@ const HEIGHT_BIAS: f32 = -1.0;
 const REFINEMENTS: usize = 1;
 /// Share of a ray's rise over which its shadow is soft near the point that it leaves.
 const NEAR: f32 = 0.5;
+/// Height that rounding may take from a ray that leaves the surface: a few units in the last digit of heights up to 1.
+const ROUNDING: f32 = 1e-6;
 /// Least difference of heights that is divided by: far below what single precision tells apart.
 const TINY: f32 = 1e-9;
 
@@ -231,7 +233,7 @@ impl Work for Shadow<'_> {
                 let height = heights.at(s, s.add(x, s.mul(dx, rise)), s.add(y, s.mul(dy, rise)));
                 let clear = s.sub(s.add(z, rise), height);
                 let width = s.max(s.min(far, s.mul(rise, s.splat(NEAR))), s.splat(TINY));
-                let open = s.add(half, s.mul(half, s.div(clear, width)));
+                let open = s.add(half, s.mul(half, s.div(s.add(clear, s.splat(ROUNDING)), width)));
                 lit = s.min(lit, open);
             }
             s.store(&mut rows.lit[at..], s.max(lit, zero));

@@ -7,6 +7,7 @@ use crate::dataset::{Dataset, SplitName};
 use crate::error::{Error, Result};
 use crate::evaluate::{Cost, Row, TIMED_QUERIES, costs, error_table, motion_table, refusal, view_table};
 use crate::inference::{Answerer, answerer};
+use crate::lpips::Lpips;
 use crate::model;
 use crate::query::{Reflectance, Support};
 use clap::Args;
@@ -47,6 +48,9 @@ pub struct Evaluate {
     /// Store textures in half precision while answering.
     #[arg(long)]
     half_textures: bool,
+    /// Weights of LPIPS, as scripts/lpips_weights.py writes them; without them the metric is left out.
+    #[arg(long, value_name = "FILE")]
+    lpips_weights: Option<PathBuf>,
     /// Write everything here.
     #[arg(long)]
     json: Option<PathBuf>,
@@ -84,6 +88,7 @@ impl Evaluate {
         if !(1..=MAX_QUERIES).contains(&self.queries) {
             return Err(Error::usage(format!("--queries {}: use 1 to {MAX_QUERIES}", self.queries)));
         }
+        let lpips = self.lpips_weights.as_ref().map(Lpips::open).transpose()?;
         let data = Dataset::open(&self.data)?;
         let splits = if self.splits.is_empty() {
             data.split_names().into_iter().filter(|s| *s != SplitName::Train).collect()
@@ -91,7 +96,7 @@ impl Evaluate {
             self.splits.clone()
         };
         let precision = if self.half_textures { Precision::Half } else { Precision::Single };
-        let by = By { device: &self.device, engine: self.engine, precision };
+        let by = By { device: &self.device, engine: self.engine, precision, lpips: lpips.as_ref() };
         let evaluations = evaluate(&self.runs, &data, &splits, by, [self.queries, self.rounds], console)?;
         super::save_json(self.json.as_deref(), &evaluations)?;
         console.answer(text_table(&evaluations))
@@ -107,11 +112,13 @@ pub struct By<'a> {
     pub engine: Option<EngineKind>,
     /// Of the textures.
     pub precision: Precision,
+    /// What is asked for LPIPS, if anything.
+    pub lpips: Option<&'a Lpips>,
 }
 
 impl Default for By<'_> {
     fn default() -> Self {
-        Self { device: "cpu", engine: None, precision: Precision::Single }
+        Self { device: "cpu", engine: None, precision: Precision::Single, lpips: None }
     }
 }
 
@@ -150,12 +157,12 @@ pub fn evaluate(
             meter.update(done as u64, split.as_str());
             match refusal(&*material, data, *split)? {
                 Some(why) => console.say(format!("{}: {why}", run.display())),
-                None => rows.extend(error_table(&*material, data, std::slice::from_ref(split))?),
+                None => rows.extend(error_table(&*material, data, std::slice::from_ref(split), by.lpips)?),
             }
             console.check("no table was written")?;
         }
-        rows.extend(view_table(&*material, data)?);
-        rows.extend(motion_table(&*material, data)?);
+        rows.extend(view_table(&*material, data, by.lpips)?);
+        rows.extend(motion_table(&*material, data, by.lpips)?);
         if material.support() != Support::Pointwise && !data.manifest().views.is_empty() {
             console.say(format!(
                 "{}: views and their sequences are left out: they are no regular grids",
@@ -266,10 +273,11 @@ struct Column {
     of: fn(&Row) -> Option<f64>,
 }
 
-const COLUMNS: [Column; 5] = [
+const COLUMNS: [Column; 6] = [
     Column { name: "mse", width: 9, digits: 4, always: true, of: |r| Some(r.errors.mse * MILLI) },
     Column { name: "psnr", width: 7, digits: 2, always: true, of: |r| r.psnr },
     Column { name: "ssim", width: 6, digits: 3, always: true, of: |r| r.ssim },
     Column { name: "flip", width: 6, digits: 3, always: true, of: |r| r.flip },
+    Column { name: "lpips", width: 6, digits: 3, always: false, of: |r| r.lpips },
     Column { name: "flicker", width: 7, digits: 3, always: false, of: |r| r.flicker },
 ];

@@ -5,6 +5,7 @@ use super::study::Study;
 use crate::dataset::{Dataset, SplitName};
 use crate::error::Result;
 use crate::evaluate::{Row, motion_table, split_table, view_table};
+use crate::lpips::Lpips;
 use crate::query::Reflectance;
 use crate::results::Cell;
 use neumip_export::Precision;
@@ -29,13 +30,19 @@ pub struct Data<'a> {
 ///
 /// # Errors
 /// As [`split_table`].
-pub fn rows(answerer: &dyn Reflectance, study: &Study, data: Data) -> Result<Vec<Row>> {
-    let mut rows = split_table(answerer, data.training, SplitName::Train, study.texels() * TRAINING_SAMPLES)?;
+pub fn rows(
+    answerer: &dyn Reflectance,
+    study: &Study,
+    data: Data,
+    lpips: Option<&Lpips>,
+) -> Result<Vec<Row>> {
+    let mut rows =
+        split_table(answerer, data.training, SplitName::Train, study.texels() * TRAINING_SAMPLES, lpips)?;
     for split in HELD_OUT.into_iter().filter(|s| data.held_out.split_names().contains(s)) {
-        rows.extend(split_table(answerer, data.held_out, split, u64::MAX)?);
+        rows.extend(split_table(answerer, data.held_out, split, u64::MAX, lpips)?);
     }
-    rows.extend(view_table(answerer, data.held_out)?);
-    rows.extend(motion_table(answerer, data.held_out)?);
+    rows.extend(view_table(answerer, data.held_out, lpips)?);
+    rows.extend(motion_table(answerer, data.held_out, lpips)?);
     Ok(rows)
 }
 

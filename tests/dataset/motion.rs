@@ -7,8 +7,8 @@ use neumip::query::Reflectance;
 
 /// Steps so large that the little surface moves well beyond the noise.
 const MOTION: Motion = Motion { frames: 4, step: 5.0 };
-/// Half floats in differences of frames: their energy over that of the motion. Measured: 1e-4 at most.
-const ROUNDED: f64 = 1e-3;
+/// Half floats in differences of frames: their energy over that of the motion. Measured: 0.4e-4 at most.
+const ROUNDED: f64 = 2e-4;
 /// A still answer's flicker is a sum over itself, but for rounding in f64.
 const ITSELF: f64 = 1e-9;
 /// Largest difference of two half floats of one value of up to 2 with noise of 0.1 on it.
@@ -141,15 +141,15 @@ fn a_perfect_answer_does_not_flicker_and_a_still_one_is_one() {
         assert_eq!(rows.iter().map(|row| row.split.clone()).collect::<Vec<_>>(), names);
         rows.iter().map(|row| row.flicker.unwrap()).collect()
     };
-    let exact = motion_table(&Exact, &data).unwrap();
+    let exact = motion_table(&Exact, &data, None).unwrap();
     println!("flicker of the exact answer: {:?}", flicker(&exact));
     assert!(flicker(&exact).iter().all(|v| *v <= ROUNDED), "{exact:?}");
     assert!(exact.iter().all(|row| row.flicker_noise == Some(0.0) && row.queries == 4 * 144));
     assert!(exact.iter().all(|row| row.metrics().flicker == row.flicker && row.flip.is_some()));
     // A hundredth in the second half of the frames is one jump, and noticed.
-    let jump = motion_table(&Jump(Default::default()), &data).unwrap();
+    let jump = motion_table(&Jump(Default::default()), &data, None).unwrap();
     assert!(flicker(&jump).iter().all(|v| *v > ROUNDED), "{jump:?}");
-    let still = flicker(&motion_table(&Still, &data).unwrap());
+    let still = flicker(&motion_table(&Still, &data, None).unwrap());
     assert!(still.iter().all(|v| (v - 1.0).abs() <= ITSELF), "{still:?}");
 }
 

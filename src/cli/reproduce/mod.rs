@@ -8,6 +8,7 @@ mod training;
 use super::console::Console;
 use super::surface::materials;
 use crate::error::{Error, Result};
+use crate::lpips::Lpips;
 use crate::reproduce::study::Directions;
 use crate::reproduce::{Question, Scope, Study};
 use clap::Args;
@@ -89,6 +90,9 @@ pub struct Reproduce {
     /// Render the datasets of the regimes and stop.
     #[arg(long)]
     prepare: bool,
+    /// Weights of LPIPS, as scripts/lpips_weights.py writes them; cells that are finished keep what they have.
+    #[arg(long, value_name = "FILE")]
+    lpips_weights: Option<PathBuf>,
     /// Rounds of the timing; 0 leaves it out.
     #[arg(long, default_value_t = 7)]
     rounds: usize,
@@ -182,7 +186,8 @@ impl Reproduce {
         super::check_json(self.json.as_deref())?;
         let (study, scope) = self.study()?;
         study.validate()?;
-        run::Run { study, scope, asked: &self, console }.run()
+        let lpips = self.lpips_weights.as_ref().map(Lpips::open).transpose()?;
+        run::Run { study, scope, asked: &self, lpips, console }.run()
     }
 
     fn study(&self) -> Result<(Study, Scope)> {

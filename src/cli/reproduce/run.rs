@@ -12,6 +12,7 @@ use crate::config::Config;
 use crate::dataset::{Dataset, Existing};
 use crate::error::{Error, Result};
 use crate::inference::{Answerer, answerer};
+use crate::lpips::Lpips;
 use crate::query::Reflectance;
 use crate::reference::{Reference, ReferenceOptions};
 use crate::report::picture;
@@ -37,6 +38,7 @@ pub struct Run<'a> {
     pub study: Study,
     pub scope: Scope,
     pub asked: &'a Reproduce,
+    pub lpips: Option<Lpips>,
     pub console: &'a Console,
 }
 
@@ -178,7 +180,7 @@ impl Run<'_> {
         let data = Data { training: &held_out, held_out: &held_out };
         let engine = format!("maps {}", maps.isa().name());
         let answered = Answered { suffix: "", engine, bytes: maps.bytes(), flops: maps.flops() };
-        let mut cells = cells(job, data, 0, &answered, rows(&maps, &self.study, data)?);
+        let mut cells = cells(job, data, 0, &answered, rows(&maps, &self.study, data, self.lpips.as_ref())?);
         cells.retain(|cell| cell.level.is_none());
         Ok(Finished { machine: machine(), seconds: 0.0, cells, failure: None })
     }
@@ -212,7 +214,7 @@ impl Run<'_> {
         for precision in halves {
             let Answerer { material, engine } = answerer(&checkpoint, None, precision, &Device::Cpu)?;
             let answered = Answered::model(&checkpoint.header.architecture, precision, engine);
-            let rows = rows(&*material, &self.study, data)?;
+            let rows = rows(&*material, &self.study, data, self.lpips.as_ref())?;
             let mut cells = cells(job, data, progress.samples, &answered, rows);
             // Dozens of variants are compared as wholes; the tables by level are of the presets.
             cells.retain(|cell| job.variant.set.is_empty() || cell.level.is_none());
