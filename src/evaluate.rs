@@ -164,8 +164,8 @@ pub fn refusal(answerer: &dyn Reflectance, data: &Dataset, name: SplitName) -> R
     Ok(None)
 }
 
-/// Errors on the given splits: a row a level and one for the whole split; with weights of LPIPS that too. Splits that the answerer cannot be asked
-/// ([`refusal`]) have no rows.
+/// Errors on the given splits: a row a level and one for the whole split; with weights of LPIPS that too. Splits that the
+/// answerer cannot be asked ([`refusal`]) have no rows.
 ///
 /// # Errors
 /// `File` for data that cannot be read, or what the answerer reports.

@@ -81,7 +81,7 @@ fn candle_follows_float64_and_a_changed_weight_is_noticed() {
         assert!(error(&checkpoint) < TOLERANCE, "{name}: {:e}", error(&checkpoint));
         let mut changed = checkpoint.clone();
         let kernel = &mut changed.tensors.get_mut("decoder.module0.path3.weight").unwrap().data;
-        kernel[..25].iter_mut().for_each(|v| *v += 1e-2);
+        kernel.iter_mut().for_each(|v| *v += 1e-2);
         assert!(error(&changed) > TOLERANCE, "{name}");
     }
 }
