@@ -210,12 +210,11 @@ fn piece(patch: usize, level: f32, corners: &[[f32; 2]], seed: u64) -> Block {
     Block::new(layout, rgb, 0.0).unwrap()
 }
 
+/// Values by tensor.
+type Named = (String, Vec<f32>);
+
 /// The loss of a step and its gradients by every tensor.
-fn gradients(
-    checkpoint: &Checkpoint,
-    engine: EngineKind,
-    pieces: &[Block],
-) -> (f64, Vec<(String, Vec<f32>)>) {
+fn gradients(checkpoint: &Checkpoint, engine: EngineKind, pieces: &[Block]) -> (f64, Vec<Named>) {
     // Without memory, and with an epsilon above any gradient, Adam's step is the gradient.
     const HUGE: f64 = 1e6;
     let adam = AdamConfig { beta1: 0.0, beta2: 0.0, epsilon: HUGE };
@@ -260,8 +259,7 @@ fn engines_agree_on_losses_and_gradients_of_whole_tiles_and_of_parts() {
         piece(8, 2.0, &quarters, 3),
         piece(4, 3.0, &[[0.0; 2]; 16], 4),
     ];
-    let worst = |a: &[(String, Vec<f32>)], b: &[(String, Vec<f32>)]| -> (f32, String) {
-        type Named = (String, Vec<f32>);
+    let worst = |a: &[Named], b: &[Named]| -> (f32, String) {
         let of = |((name, a), (_, b)): (&Named, &Named)| {
             let scale = a.iter().fold(0.0f32, |m, v| m.max(v.abs()));
             let difference = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
