@@ -1,7 +1,8 @@
-"""Times PyTorch on the Inception decoders of `neumip bench inception`.
+"""Times PyTorch on the Inception decoders, beside the kernels of neumip.
 
     pip install torch --index-url https://download.pytorch.org/whl/cpu
-    python scripts/inception_peer.py [--json peer.json]
+    cargo build --release --example inception
+    python scripts/inception_peer.py --beside "target/release/examples/inception {shape} {side} {work}"
 
 Channels-last, float32, on all cores or `--threads`: eager, and compiled with `--compile` (which needs a C++ compiler).
 Answering is the forward pass in inference mode; training is forward, and backward to weights and inputs. Outside a patch

@@ -95,9 +95,16 @@ impl Subject {
         config.train.validate()?;
         let stages = config.train.stages.resolve()?;
         let longest = stages.into_iter().max_by(|a, b| a.share.total_cmp(&b.share));
+        let architecture = Architecture::new(config.model, [resolution; 2])?;
+        if architecture.neighbourhood().is_some() {
+            return Err(Error::usage(format!(
+                "--preset {name}: its decoder sees its neighbours and takes no single queries; the example `inception` \
+                 times its kernels"
+            )));
+        }
         Ok(Self {
             name: name.into(),
-            architecture: Architecture::new(config.model, [resolution; 2])?,
+            architecture,
             terms: longest.ok_or_else(|| Error::config("train.stages", "is empty"))?.terms,
             target_range: config.train.target_range,
             adam: config.train.adam,

@@ -119,3 +119,11 @@ fn a_query_counts_what_its_networks_multiply() {
     assert_eq!(all, f64::from(2 * (offset + decoder)));
     assert_eq!(without_light, f64::from(2 * (offset + (79 - 16) * 25)));
 }
+
+#[test]
+fn a_decoder_that_sees_its_neighbours_is_refused() {
+    let config = |name| crate::config::Config::preset(name).unwrap();
+    let error = Subject::preset("inception", config("inception"), 64).unwrap_err();
+    assert!(error.exit_code() == 2 && error.to_string().contains("neighbours"), "{error}");
+    assert!(Subject::preset("improved", config("improved"), 64).is_ok());
+}
