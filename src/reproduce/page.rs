@@ -13,6 +13,18 @@ pub struct Heading {
     pub command: String,
     /// Trainings that gave no numbers, and why.
     pub failures: Vec<String>,
+    /// How many of the command's trainings are not there yet, and how many there are to be.
+    pub missing: [usize; 2],
+}
+
+impl Heading {
+    /// What is not there, a line each.
+    fn gaps(&self) -> Vec<String> {
+        let [missing, all] = self.missing;
+        let missing =
+            (missing > 0).then(|| format!("{missing} of the command's {all} trainings are not run yet."));
+        missing.into_iter().chain(self.failures.iter().map(|f| format!("No result: {f}"))).collect()
+    }
 }
 
 /// What every cell shares, as name and value.
@@ -59,8 +71,8 @@ pub fn results_markdown(study: &Study, results: &Results, heading: &Heading) -> 
     }
     out += "\nErrors are on held-out directions unless a table says otherwise. The paper presents about 120,000 samples a texel: \
             these tables answer its questions at this budget, not at its own.\n\n";
-    for failure in &heading.failures {
-        out += &format!("- No result: {failure}\n");
+    for gap in heading.gaps() {
+        out += &format!("- {gap}\n");
     }
     for table in tables(results, study) {
         out += &format!("\n{}", markdown(&table));
@@ -81,8 +93,8 @@ pub fn results_html(folder: &Folder, study: &Study, results: &Results, heading: 
         page += &format!("<div><dt>{}</dt><dd>{}</dd></div>\n", escaped(&name), escaped(&value));
     }
     page += &format!("</dl>\n<pre>{}</pre>\n", escaped(&heading.command));
-    for failure in &heading.failures {
-        page += &format!("<p class=\"note\">No result: {}</p>\n", escaped(failure));
+    for gap in heading.gaps() {
+        page += &format!("<p class=\"note\">{}</p>\n", escaped(&gap));
     }
     page += &pictures(folder, results)?;
     for table in tables(results, study) {

@@ -311,7 +311,11 @@ impl Run<'_> {
                 None => missing += 1,
             }
         }
-        let heading = Heading { command: self.asked.command(&self.study, &self.scope), failures };
+        let heading = Heading {
+            command: self.asked.command(&self.study, &self.scope),
+            failures,
+            missing: [missing, all.len()],
+        };
         results.write(&folder.root().join(results::FILE))?;
         let markdown = results_markdown(&self.study, &results, &heading);
         write_whole(&folder.root().join("RESULTS.md"), markdown.as_bytes())?;
