@@ -3,7 +3,7 @@
 use super::axes::grouped;
 use super::metric::{BYTES, FLOPS, NS, costs};
 use super::panel::{self, Panel};
-use super::points::Variant;
+use super::points::{Group, Variant};
 use super::{Chart, Labels, counted};
 use std::collections::BTreeSet;
 
@@ -36,7 +36,10 @@ pub(super) fn subtitle(chart: &Chart) -> Vec<String> {
 
 /// Resolutions, budgets, regimes and seeds; `0` is no budget and no resolution but that of nothing trained.
 fn trained(chart: &Chart) -> String {
-    let variants: BTreeSet<&Variant> = chart.selected().map(|g| &g.variant).collect();
+    let axes = costs(chart.settings.against);
+    // What has no value on any axis is in no panel.
+    let drawn = |g: &&Group| axes.iter().any(|cost| g.seeds.values().any(|v| v.contains_key(cost.key)));
+    let variants: BTreeSet<&Variant> = chart.selected().filter(drawn).map(|g| &g.variant).collect();
     let texels: BTreeSet<[usize; 2]> = variants.iter().map(|v| v.resolution).collect();
     let budgets: BTreeSet<u64> = variants.iter().map(|v| v.budget).filter(|b| *b > 0).collect();
     let trained = variants.iter().filter(|v| v.budget > 0);

@@ -39,7 +39,9 @@ impl Times<'_> {
             .filter(|job| !job.variant.label.starts_with(ABLATION))
             .map(|job| (job.variant.label.as_str(), job))
             .collect();
-        if wanted.keys().all(|label| times.contains_key(*label)) {
+        let mut halves =
+            jobs.iter().filter(|job| job.variant.half).map(|job| format!("{}-f16", job.variant.label));
+        if wanted.keys().all(|label| times.contains_key(*label)) && halves.all(|l| times.contains_key(&l)) {
             return Ok(());
         }
         for (label, job) in wanted {
@@ -58,7 +60,8 @@ impl Times<'_> {
                 Ok(())
             };
             add(label.into(), Precision::Single)?;
-            if job.variant.half {
+            // The same label may be asked for by a question that does not want it.
+            if jobs.iter().any(|job| job.variant.label == label && job.variant.half) {
                 add(format!("{label}-f16"), Precision::Half)?;
             }
         }
