@@ -72,6 +72,9 @@ fn parts_of_a_study_are_the_whole_study() {
     let other = neumip(&[TINY, &["--out", "whole", "--trials", "3"]].concat(), there.path());
     assert_eq!(other.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&other.stderr).contains("trials 2"));
+    let unknown = neumip(&["reproduce", "--quick", "--materials", "rokcs", "--out", "new"], there.path());
+    assert_eq!(unknown.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&unknown.stderr).contains("rokcs") && !there.path().join("new").exists());
 }
 
 #[test]

@@ -14,7 +14,7 @@ use crate::error::{Error, Result};
 use crate::inference::{Answerer, answerer};
 use crate::lpips::Lpips;
 use crate::query::Reflectance;
-use crate::reference::{Reference, ReferenceOptions};
+use crate::reference::{Reference, ReferenceOptions, builtin};
 use crate::report::picture;
 use crate::reproduce::folder::Finished;
 use crate::reproduce::measure::{Answered, Data, cells, rows};
@@ -25,7 +25,7 @@ use crate::results::{self, Trial};
 use candle_core::Device;
 use neumip_export::Precision;
 use neumip_export::whole_file::write_whole;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 
 /// Seed of the trials.
@@ -62,6 +62,14 @@ impl Run<'_> {
             .collect();
         for job in all.iter().filter(|job| job.variant.maps.is_none()) {
             configured(job.variant.config()?, &self.study, job.seed, 1.0).train.validate()?;
+        }
+        // A wrong name is said now and not after an hour.
+        let options = self.surface().options(self.study.resolution);
+        let named = all.iter().map(|job| &job.material).chain(&self.study.tuned_on);
+        for material in named.collect::<BTreeSet<_>>() {
+            if !builtin::NAMES.contains(&material.as_str()) {
+                Reference::material(material, &options)?;
+            }
         }
         if self.asked.plan {
             return self.console.answer(self.plan(&all, &mine));
