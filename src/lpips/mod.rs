@@ -1,6 +1,6 @@
 //! LPIPS (Zhang et al. 2018), version 0.1 on AlexNet: how far apart two images are in the eyes of a trained network.
 //!
-//! The weights are not ours to hand out: the user names a file that `scripts/lpips_weights.py` made ([`weights`] says
+//! The weights are not ours to hand out: the user names a file that `scripts/lpips_weights.py` made (`weights` says
 //! what is in it). Widths and kernels are those of the file; strides, padding and pooling are AlexNet's.
 
 mod weights;

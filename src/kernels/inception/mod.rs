@@ -10,7 +10,7 @@
 //! | 3 | 1x1 to `reduce[1]`, 5x5 |
 //! | 4 | 3x3 max-pool of stride 1, 1x1 |
 //!
-//! Inside, an image is lines of one channel after another (see [`grid`]): lanes are pixels of a line, and a block of output
+//! Inside, an image is lines of one channel after another (see `grid`): lanes are pixels of a line, and a block of output
 //! channels stays in registers, so that channels of any number cost no padding.
 
 mod backward;

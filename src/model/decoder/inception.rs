@@ -126,8 +126,8 @@ mod tests {
 
     /// Gradients in f32 against differences of an f32 sum.
     const TOLERANCE: f64 = 2e-2;
-    /// Few ReLUs bend within it, and an f32 sum still has four digits of the difference.
-    const STEP: f64 = 5e-4;
+    /// Hardly a maximum changes its place within it, and an f32 sum still has digits of the difference.
+    const STEP: f64 = 2e-2;
     const SEED: u64 = 1;
 
     #[test]
@@ -158,23 +158,18 @@ mod tests {
     fn gradients_are_the_slopes_of_the_outputs() {
         let config = InceptionConfig { width: 9, modules: 2, paths: [3, 3, 2, 1], reduce: [4, 2] };
         let convolutions = config.convolutions(5, 3);
-        // Seeded: another draw may have a ReLU that bends within a step.
+        // All is positive, so that no ReLU is shut or bends within a step: what those do, the engines' tests compare.
         let drawn = std::cell::Cell::new(0);
         let random = |shape: &[usize]| {
             let mut numbers = Random::new(SEED, Stream::Probe, drawn.replace(drawn.get() + 1));
-            let values: Vec<f32> = (0..shape.iter().product()).map(|_| 0.4 * numbers.normal()).collect();
+            let values: Vec<f32> =
+                (0..shape.iter().product()).map(|_| 0.02 + 0.2 * numbers.uniform()).collect();
             Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
         };
         let variables: Vec<(String, Var)> = convolutions
             .iter()
             .flat_map(Convolution::tensors)
-            .map(|(name, shape)| {
-                let values = random(&shape);
-                // With positive biases no ReLU is shut for all samples, which would leave nothing to compare.
-                let bias = name.ends_with("bias");
-                let values = if bias { (values.abs().unwrap() + 0.5).unwrap() } else { values };
-                (name, Var::from_tensor(&values).unwrap())
-            })
+            .map(|(name, shape)| (name, Var::from_tensor(&random(&shape)).unwrap()))
             .collect();
         let mosaic = Mosaic { down: 2, across: 2, height: 4, width: 3 };
         let x = Var::from_tensor(&random(&[mosaic.samples(), 5])).unwrap();
