@@ -51,7 +51,7 @@ const FLOW: [(&str, &[&str]); 26] = [
     ("golden", &["model", "query", "random", "export"]),
     ("analytic", &["query", "random", "kernels", "reference"]),
     ("results", &["export"]),
-    ("chart", &["results"]),
+    ("chart", &["results", "report"]),
     ("report", &["query", "metrics", "srgb"]),
     (
         "reproduce",

@@ -2,6 +2,7 @@
 
 use super::WIDTH;
 use super::raster::text_width;
+use crate::report;
 
 /// sRGB.
 pub(super) type Colour = [u8; 3];
@@ -65,20 +66,12 @@ pub(super) struct Scene {
 
 /// Text as it may stand between tags and in quoted attributes. Characters that XML has no place for are replaced.
 pub(super) fn escaped(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out += "&amp;",
-            '<' => out += "&lt;",
-            '>' => out += "&gt;",
-            '"' => out += "&quot;",
-            '\'' => out += "&#39;",
-            '\n' => out.push(c),
-            '\u{0}'..='\u{1f}' | '\u{7f}' | '\u{fffe}' | '\u{ffff}' => out.push('\u{fffd}'),
-            _ => out.push(c),
-        }
-    }
-    out
+    let placed = |c| match c {
+        '\n' => c,
+        '\u{0}'..='\u{1f}' | '\u{7f}' | '\u{fffe}' | '\u{ffff}' => '\u{fffd}',
+        _ => c,
+    };
+    report::escaped(&text.chars().map(placed).collect::<String>())
 }
 
 /// Lines of at most `width` units; a word that is longer stands alone.

@@ -1,7 +1,7 @@
 //! The jobs of a study: one training each, and the cells that it fills.
 
 use super::study::{Directions, Question, Scope, Study};
-use super::variant::{Variant, of_question};
+use super::variant::{Variant, of_ablation, of_chart};
 use std::collections::BTreeSet;
 
 /// One training.
@@ -49,9 +49,8 @@ pub fn jobs(study: &Study, scope: &Scope) -> Vec<Job> {
             add(&scope.materials, &scope.regimes, &named(&scope.presets), seed);
         }
         if scope.questions.contains(&Question::Chart) {
-            let variants = of_question(Question::Chart, study);
             // Maps are not trained, so that one seed says all.
-            let variants: Vec<_> = variants.into_iter().filter(|v| v.maps.is_none() || seed == 1).collect();
+            let variants: Vec<_> = of_chart().into_iter().filter(|v| v.maps.is_none() || seed == 1).collect();
             add(&scope.chart_on, &[Directions::Scattered], &variants, seed);
         }
         if scope.questions.contains(&Question::Inception) {
@@ -62,7 +61,7 @@ pub fn jobs(study: &Study, scope: &Scope) -> Vec<Job> {
     }
     // One seed: the cells are compared by the dozen, and the spread over seeds is known from the tables.
     if scope.questions.contains(&Question::Ablation) {
-        let variants = of_question(Question::Ablation, study);
+        let variants = of_ablation(study);
         add(std::slice::from_ref(&scope.ablation_on), &[Directions::Scattered], &variants, 1);
     }
     // A variant of the chart that is also a preset of the tables is trained once, with all that either measures.

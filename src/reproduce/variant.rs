@@ -1,6 +1,6 @@
 //! What is compared: presets with fields changed, under a label.
 
-use super::study::{Question, Study};
+use super::study::Study;
 use crate::analytic::MapsConfig;
 use crate::config::Config;
 use crate::error::Result;
@@ -188,15 +188,6 @@ fn losses(gradient: &str, stages: &str, weight: f64) -> serde_json::Value {
             stage(1.0, both(&linear)),
         ]),
         _ => json!([stage(1.0, both(&linear))]),
-    }
-}
-
-/// The variants of a question; those of the presets are named by the caller.
-pub fn of_question(question: Question, study: &Study) -> Vec<Variant> {
-    match question {
-        Question::Presets | Question::Inception => Vec::new(),
-        Question::Ablation => of_ablation(study),
-        Question::Chart => of_chart(),
     }
 }
 
