@@ -15,9 +15,11 @@ mod error;
 pub mod golden;
 pub mod onnx;
 pub mod precision;
+pub mod sampler;
 pub mod sidecar;
 pub mod tensors;
 pub mod textures;
+pub mod weights;
 pub mod whole_file;
 
 pub use bundle::{Bundle, BundleFile, read_bundle, write_bundle, write_bundle_as};
@@ -26,4 +28,5 @@ pub use config::Architecture;
 pub use error::{Error, Result};
 pub use golden::Golden;
 pub use precision::{Precision, TexturePrecision};
+pub use sampler::{Sampler, SamplerConfig};
 pub use tensors::{Tensor, read_tensors, write_tensors};
