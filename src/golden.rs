@@ -1,5 +1,5 @@
 //! Golden answers: what a material says to queries that cover its whole domain and its edges, and what rounding its
-//! textures changes of them.
+//! numbers changes of them.
 
 use crate::error::Result;
 use crate::model::NeuralMaterial;
@@ -8,7 +8,7 @@ use crate::random::{Random, Stream};
 use candle_core::Device;
 use neumip_export::checkpoint::Checkpoint;
 use neumip_export::config::Architecture;
-use neumip_export::{Golden, Precision, TexturePrecision};
+use neumip_export::{Golden, Rounding, Storage};
 
 /// Largest |difference| / (1 + |value|) of a reader of the bundle: f32 networks summed in another order, on positions that
 /// an offset network moves by an ulp.
@@ -108,21 +108,21 @@ pub fn answers(checkpoint: &Checkpoint, n: usize) -> Result<Golden> {
     Ok(Golden { tolerance: TOLERANCE, u, wi, wo, level, rgb, images })
 }
 
-/// A checkpoint with rounded textures, its golden answers, and how far they are from those before.
+/// A checkpoint with rounded numbers, its golden answers, and how far they are from those before.
 pub struct Rounded {
     /// The checkpoint.
     pub checkpoint: Checkpoint,
     /// Its answers.
     pub golden: Golden,
     /// What rounding cost.
-    pub cost: TexturePrecision,
+    pub cost: Rounding,
 }
 
-/// Rounds a checkpoint's textures and asks both, before and after, `n` queries.
+/// Rounds a checkpoint and asks both, before and after, `n` queries.
 ///
 /// # Errors
-/// As [`Precision::round`] and [`answers`].
-pub fn rounded(checkpoint: &Checkpoint, storage: Precision, n: usize) -> Result<Rounded> {
+/// As [`Storage::round`] and [`answers`].
+pub fn rounded(checkpoint: &Checkpoint, storage: Storage, n: usize) -> Result<Rounded> {
     // First, so that what cannot be rounded is refused before anything is computed.
     let rounded = storage.round(checkpoint.clone())?;
     let before = answers(checkpoint, n)?;
@@ -137,6 +137,6 @@ pub fn rounded(checkpoint: &Checkpoint, storage: Precision, n: usize) -> Result<
         sum += difference;
     }
     let mean = sum / (3 * golden.rgb.len().max(1)) as f64;
-    let cost = TexturePrecision { storage, largest_difference: largest, mean_difference: mean };
+    let cost = Rounding { storage, largest_difference: largest, mean_difference: mean };
     Ok(Rounded { checkpoint: rounded, golden, cost })
 }

@@ -28,6 +28,7 @@
 //! ```
 
 pub mod analytic;
+pub mod artefacts;
 pub mod bench;
 pub mod chart;
 pub mod checkpoint;

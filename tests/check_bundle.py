@@ -3,11 +3,12 @@
     python check_bundle.py CONSUMERS BUNDLE QUERIES.json
 
 CONSUMERS is the folder of neumip_onnx.py and reference_numpy.py; QUERIES has arrays u, wi, wo [N, 2], level [N],
-rgb [N, 3] and, for a decoder that reads neighbours, images [3]. Both graphs have to pass onnx.checker. Prints one line of JSON: versions, and the largest
+rgb [N, 3] and, for a decoder that reads neighbours, images [3]. The graphs have to pass onnx.checker. Prints one line of JSON: versions, and the largest
 |difference| / (1 + |rgb|) of
 
     material   material.onnx in onnxruntime
     decoder    decoder.onnx in onnxruntime, given the features that the reference looks up
+    steps      prepare.onnx and evaluate.onnx in onnxruntime, where the decoder does not read neighbours
     reference  the numpy reference, from model.safetensors alone
 """
 
@@ -38,13 +39,17 @@ def main(consumers, folder, queries):
     inputs = [queries[name] for name in INPUTS]
     images = queries.get("images")
     reference = Recording(Path(folder) / "model.safetensors")
+    bundle = Bundle(folder)
     answers = {
-        "material": Bundle(folder).evaluate(*inputs, images),
+        "material": bundle.evaluate(*inputs, images),
         "reference": reference.evaluate(*inputs, images),
     }
     decoder = onnxruntime.InferenceSession(
         str(Path(folder) / "decoder.onnx"), providers=["CPUExecutionProvider"]
     )
+    if images is None:
+        prepared = bundle.prepare(*(queries[name] for name in ("u", "wo", "level")))
+        answers["steps"] = bundle.light(prepared, queries["wi"])
     feeds = as_fed(zip(("features", *INPUTS), (reference.looked_up, *inputs)), images)
     answers["decoder"] = decoder.run(["rgb"], feeds)[0].reshape(-1, 3)
 

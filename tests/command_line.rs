@@ -2,6 +2,7 @@
 //! seed gives the same bytes on any number of threads, and what is written as JSON says what it promises.
 
 use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -471,6 +472,12 @@ fn bad_checkpoints_and_bundles_are_refused() {
             ("export beyond.safetensors --out bundle --half-textures --force", 2, &["tensor texture.level0"]),
             ("export run --out bundle --half-textures", 1, &["bundle", "exists"]),
             ("export run --out precious --half-textures --force", 1, &["precious", "not a bundle"]),
+            ("export run --out new --half --int8", 2, &["--half", "--int8"]),
+            ("export run --out new --opset 16", 2, &["--opset", "13, 17 and 21"]),
+            ("export run", 2, &["--out"]),
+            ("export run --check", 1, &["run", "no bundle"]),
+            ("export bundle --check --force", 2, &["--force", "--out"]),
+            ("export altered --check", 1, &["altered/decoder.onnx"]),
         ],
     );
 }
@@ -484,18 +491,18 @@ fn half_textures_are_an_option_of_the_export_that_says_what_it_costs() {
     let read =
         |name: &str| -> Value { serde_json::from_slice(&std::fs::read(folder.join(name)).unwrap()).unwrap() };
     let half = read("half/material.json");
-    let precision = &half["texture_precision"];
-    assert_eq!(precision["storage"], json!("f16"));
+    let precision = &half["rounding"];
+    assert_eq!(precision["storage"], json!({"textures": "f16", "weights": "f32"}));
     let number = |name: &str| precision[name].as_f64().unwrap();
     let (largest, mean) = (number("largest_difference"), number("mean_difference"));
     assert!(mean > 0.0 && mean < largest, "{precision}");
     assert!(said.contains(&format!("{largest:.1e}")) && said.contains(&format!("{mean:.1e}")), "{said}");
-    assert_eq!(&read("half.json")["texture_precision"], precision);
+    assert_eq!(&read("half.json")["rounding"], precision);
     let described: Value = serde_json::from_str(&succeed(folder, "info half")).unwrap();
-    assert_eq!(&described["material"]["texture_precision"], precision);
+    assert_eq!(&described["material"]["rounding"], precision);
 
     let single = read("bundle/material.json");
-    assert_eq!(single.get("texture_precision"), None);
+    assert_eq!(single.get("rounding"), None);
     let values = single["cost"]["texture_values"].as_u64().unwrap();
     let bytes = |bundle: &Value| bundle["cost"]["bytes"].as_u64().unwrap();
     assert_eq!(bytes(&single) - bytes(&half), 2 * values);
@@ -511,9 +518,50 @@ fn half_textures_are_an_option_of_the_export_that_says_what_it_costs() {
     // What is rounded already loses nothing by being rounded again.
     succeed(folder, "export half/model.safetensors --out twice --half-textures");
     let twice = read("twice/material.json");
-    assert_eq!(twice["texture_precision"]["largest_difference"], json!(0.0));
+    assert_eq!(twice["rounding"]["largest_difference"], json!(0.0));
     let graph = |name: &str| std::fs::read(folder.join(name).join("material.onnx")).unwrap();
     assert!(graph("twice") == graph("half"));
+}
+
+#[test]
+fn a_bundle_is_put_to_the_test_however_it_is_stored() {
+    let workshop = workshop();
+    let folder = workshop.path();
+    let read =
+        |name: &str| -> Value { serde_json::from_slice(&std::fs::read(folder.join(name)).unwrap()).unwrap() };
+    let bytes = |name: &str| read(name)["cost"]["bytes"].as_u64().unwrap();
+    succeed(folder, "export bundle --check --json found.json");
+    let found = read("found.json");
+    let files: Vec<&str> = found.as_array().unwrap().iter().map(|a| a["files"].as_str().unwrap()).collect();
+    for name in ["model.safetensors", "material.onnx", "decoder.onnx", "prepare.onnx, evaluate.onnx"] {
+        assert!(files.contains(&name), "{name}: {files:?}");
+    }
+    assert!(files.contains(&"texture-0.exr") && files.contains(&"weights-f16.bin"), "{files:?}");
+
+    succeed(folder, "export run --out halfs --half --check --opset 13");
+    succeed(folder, "export run --out bytes --int8 --check --opset 21 --json bytes.json");
+    let single = bytes("bundle/material.json");
+    assert_eq!(bytes("halfs/material.json") * 2, single);
+    assert!(bytes("bytes/material.json") < bytes("halfs/material.json"));
+    assert_eq!(read("bytes/material.json")["graphs"][0]["opset"], json!(21));
+    assert!(!read("bytes.json")["artefacts"].as_array().unwrap().is_empty());
+    let stored = json!({"textures": "i8", "weights": "f16"});
+    assert_eq!(read("bytes/material.json")["rounding"]["storage"], stored);
+
+    // A bundle that answers otherwise than its golden file says: every checksum is right, and it is found out.
+    let golden = folder.join("bytes/golden.json");
+    let mut answers: Value = serde_json::from_slice(&std::fs::read(&golden).unwrap()).unwrap();
+    answers["rgb"][3][1] = json!(answers["rgb"][3][1].as_f64().unwrap() + 0.01);
+    let text = serde_json::to_vec(&answers).unwrap();
+    let mut sidecar = read("bytes/material.json");
+    let entry =
+        sidecar["files"].as_array_mut().unwrap().iter_mut().find(|f| f["name"] == "golden.json").unwrap();
+    entry["bytes"] = json!(text.len());
+    let digest = Sha256::digest(&text);
+    entry["sha256"] = json!(digest.iter().map(|b| format!("{b:02x}")).collect::<String>());
+    std::fs::write(&golden, &text).unwrap();
+    std::fs::write(folder.join("bytes/material.json"), serde_json::to_vec(&sidecar).unwrap()).unwrap();
+    refused(folder, &[("export bytes --check", 1, &["bytes", "is off by"])]);
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::process::Command;
 
 /// What each module of `src/` may import besides itself and [`ANYWHERE`]. `export` is the exporter's crate but for its
 /// `config`, which is our `config`'s own ground. A module that is missing here fails.
-const FLOW: [(&str, &[&str]); 26] = [
+const FLOW: [(&str, &[&str]); 27] = [
     ("error", &["export"]),
     ("config", &[]),
     ("query", &["error"]),
@@ -49,6 +49,7 @@ const FLOW: [(&str, &[&str]); 26] = [
     ("evaluate", &["query", "metrics", "lpips", "dataset", "random", "results"]),
     ("onnx_material", &["query"]),
     ("golden", &["model", "query", "random", "export"]),
+    ("artefacts", &["engine", "inference", "onnx_material", "query", "export"]),
     ("analytic", &["query", "random", "kernels", "reference"]),
     ("results", &["export"]),
     ("chart", &["results", "report"]),
@@ -80,6 +81,7 @@ const EVERYTHING: &[&str] = &[
     "evaluate",
     "onnx_material",
     "golden",
+    "artefacts",
     "analytic",
     "report",
     "results",
@@ -92,7 +94,7 @@ const ANYWHERE: [&str; 2] = ["error", "config"];
 /// Modules that import what [`FLOW`] lists and nothing else: others could be built on them alone.
 const BARE: [&str; 5] = ["query", "random", "kernels", "metrics", "srgb"];
 /// Where candle may be mentioned; everything else works without it.
-const CANDLE: [&str; 9] = [
+const CANDLE: [&str; 10] = [
     "error.rs",
     "kernels/custom_op.rs",
     "model/",
@@ -101,6 +103,7 @@ const CANDLE: [&str; 9] = [
     "trainer/",
     "inference.rs",
     "golden.rs",
+    "artefacts.rs",
     "cli/",
 ];
 

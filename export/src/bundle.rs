@@ -2,11 +2,14 @@
 
 use crate::checkpoint::Checkpoint;
 use crate::error::{Error, Result};
-use crate::golden::Golden;
-use crate::onnx;
-use crate::precision::{Precision, TexturePrecision};
-use crate::sidecar::Sidecar;
+use crate::golden::{Golden, SamplerGolden};
+use crate::onnx::{self, Opset, Port};
+use crate::precision::{Rounding, Storage};
+use crate::readme;
+use crate::sampler::Sampler;
+use crate::sidecar::{GraphFile, GraphPort, Sidecar};
 use crate::textures::texture_files;
+use crate::weights::{self, Layout};
 use crate::whole_file::{parent_of, sibling_folder, sync_folder, write_whole};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -20,8 +23,20 @@ pub const MODEL: &str = "model.safetensors";
 pub const DECODER: &str = "decoder.onnx";
 /// The graph of the whole material.
 pub const MATERIAL: &str = "material.onnx";
+/// The graph of what does not depend on the light.
+pub const PREPARE: &str = "prepare.onnx";
+/// The graph of the rest.
+pub const EVALUATE: &str = "evaluate.onnx";
+/// The graph that samples a light direction.
+pub const SAMPLE: &str = "sample.onnx";
+/// The graph of that sampling's density.
+pub const PDF: &str = "pdf.onnx";
 /// The golden answers.
 pub const GOLDEN: &str = "golden.json";
+/// The importance sampler.
+pub const SAMPLER: &str = "sampler.safetensors";
+/// Its golden answers.
+pub const SAMPLER_GOLDEN: &str = "sampler-golden.json";
 /// The description.
 pub const SIDECAR: &str = "material.json";
 /// The page for people.
@@ -50,73 +65,156 @@ pub struct Bundle {
     pub checkpoint: Checkpoint,
     /// `golden.json`.
     pub golden: Golden,
+    /// `sampler.safetensors` and `sampler-golden.json`, where there are such.
+    pub sampler: Option<(Sampler, SamplerGolden)>,
 }
 
-/// Writes a bundle as the folder `out`, whole or not at all, and returns its files (`material.json` last).
-///
-/// With `force` an older bundle at `out` is replaced once the new one is complete; any other folder is left
-/// alone.
-///
-/// # Errors
-/// `Config`, naming the tensor or field at fault; `File`, naming the path that exists or cannot be written.
-pub fn write_bundle(
-    checkpoint: &Checkpoint,
-    golden: &Golden,
-    out: &Path,
-    force: bool,
-) -> Result<Vec<BundleFile>> {
-    write_bundle_as(checkpoint, golden, None, out, force)
+/// What a bundle is made of.
+#[derive(Clone, Copy, Debug)]
+pub struct Contents<'a> {
+    /// The model; where `rounding` is given, rounded by [`Storage::round`].
+    pub checkpoint: &'a Checkpoint,
+    /// What it answers.
+    pub golden: &'a Golden,
+    /// How numbers are stored, and how far that is from the answers before.
+    pub rounding: Option<Rounding>,
+    /// Its importance sampler, and what that gives.
+    pub sampler: Option<(&'a Sampler, &'a SamplerGolden)>,
+    /// Operator set of the graphs.
+    pub opset: Opset,
 }
 
-/// As [`write_bundle`], of a checkpoint whose textures were rounded by [`Precision::round`]; `golden` is what the
-/// rounded checkpoint answers, and `textures` how far that is from the answers before.
-///
-/// # Errors
-/// As [`write_bundle`], and `Config`, naming the texture that is not rounded.
-pub fn write_bundle_as(
-    checkpoint: &Checkpoint,
-    golden: &Golden,
-    textures: Option<TexturePrecision>,
-    out: &Path,
-    force: bool,
-) -> Result<Vec<BundleFile>> {
-    checkpoint.validate()?;
-    golden.validate()?;
-    let storage = textures.map_or(Precision::Single, |p| p.storage);
-    storage.check(checkpoint)?;
-    if let Some(precision) = &textures {
-        precision.validate()?;
+impl<'a> Contents<'a> {
+    /// A model and its answers, as they are.
+    pub fn new(checkpoint: &'a Checkpoint, golden: &'a Golden) -> Self {
+        Self { checkpoint, golden, rounding: None, sampler: None, opset: Opset::default() }
     }
-    let replaces = may_replace(out, force)?;
 
-    let parent = parent_of(out);
-    std::fs::create_dir_all(&parent)
-        .map_err(|e| Error::file(out, format!("cannot be written: {}: {e}", parent.display())))?;
-    let folder = sibling_folder(out)?;
-    let mut files = Vec::new();
-    let mut add = |name: &str, bytes: &[u8]| {
-        write_whole(&folder.path().join(name), bytes)?;
-        files.push(BundleFile { name: name.into(), bytes: bytes.len() as u64, sha256: digest(bytes) });
-        Ok::<(), Error>(())
-    };
-    add(MODEL, &checkpoint.to_bytes()?)?;
-    add(DECODER, &onnx::decoder_graph(checkpoint)?)?;
-    add(MATERIAL, &onnx::material_graph_as(checkpoint, storage)?)?;
-    let mut planes = Vec::new();
-    for (texture, bytes) in texture_files(checkpoint)? {
-        add(&texture.file, &bytes)?;
-        planes.push(texture);
+    /// How numbers are stored.
+    pub fn storage(&self) -> Storage {
+        self.rounding.map_or(Storage::SINGLE, |rounding| rounding.storage)
     }
-    let json = |value: serde_json::Result<Vec<u8>>| value.map_err(|e| Error::config("bundle", e));
-    add(GOLDEN, &json(serde_json::to_vec(golden))?)?;
-    add(README, readme(checkpoint, textures.as_ref(), planes.len()).as_bytes())?;
-    let sidecar = Sidecar::new(checkpoint, textures, planes, files.clone());
-    let bytes = json(serde_json::to_vec_pretty(&sidecar))?;
-    write_whole(&folder.path().join(SIDECAR), &bytes)?;
-    files.push(BundleFile { name: SIDECAR.into(), bytes: bytes.len() as u64, sha256: digest(&bytes) });
 
-    put_in_place(folder, out, replaces)?;
-    Ok(files)
+    /// Writes a bundle as the folder `out`, whole or not at all, and returns its files (`material.json` last).
+    ///
+    /// With `force` an older bundle at `out` is replaced once the new one is complete; any other folder is left
+    /// alone.
+    ///
+    /// # Errors
+    /// `Config`, naming the tensor or field at fault; `File`, naming the path that exists or cannot be written.
+    pub fn write(&self, out: &Path, force: bool) -> Result<Vec<BundleFile>> {
+        self.validate()?;
+        let replaces = may_replace(out, force)?;
+        let parent = parent_of(out);
+        std::fs::create_dir_all(&parent)
+            .map_err(|e| Error::file(out, format!("cannot be written: {}: {e}", parent.display())))?;
+        let folder = sibling_folder(out)?;
+        let mut files = Vec::new();
+        let mut add = |name: &str, bytes: &[u8]| {
+            write_whole(&folder.path().join(name), bytes)?;
+            files.push(BundleFile { name: name.into(), bytes: bytes.len() as u64, sha256: digest(bytes) });
+            Ok::<(), Error>(())
+        };
+        add(MODEL, &self.checkpoint.to_bytes()?)?;
+        let mut graphs = Vec::new();
+        for (graph, bytes) in self.graphs()? {
+            add(&graph.file, &bytes)?;
+            graphs.push(graph);
+        }
+        let mut planes = Vec::new();
+        for (texture, bytes) in texture_files(self.checkpoint)? {
+            add(&texture.file, &bytes)?;
+            planes.push(texture);
+        }
+        let json = |value: serde_json::Result<Vec<u8>>| value.map_err(|e| Error::config("bundle", e));
+        add(GOLDEN, &json(serde_json::to_vec(self.golden))?)?;
+        let sampler = self.sampler.map(|(sampler, _)| sampler);
+        let architecture = &self.checkpoint.header.architecture;
+        if architecture.neighbourhood().is_none() {
+            let layout = Layout::new(architecture, sampler.map(|s| &s.header.config));
+            let block = layout.fill(self.checkpoint, sampler)?;
+            add(weights::SINGLE, &weights::single_bytes(&block))?;
+            add(weights::HALF, &weights::half_bytes(&block))?;
+        }
+        if let Some((sampler, golden)) = self.sampler {
+            add(SAMPLER, &sampler.to_bytes()?)?;
+            add(SAMPLER_GOLDEN, &json(serde_json::to_vec(golden))?)?;
+        }
+        let mut sidecar = Sidecar::new(self, graphs, planes, Vec::new());
+        add(README, readme::page(&sidecar).as_bytes())?;
+        sidecar.files = files.clone();
+        let bytes = json(serde_json::to_vec_pretty(&sidecar))?;
+        write_whole(&folder.path().join(SIDECAR), &bytes)?;
+        files.push(BundleFile { name: SIDECAR.into(), bytes: bytes.len() as u64, sha256: digest(&bytes) });
+
+        put_in_place(folder, out, replaces)?;
+        Ok(files)
+    }
+
+    fn validate(&self) -> Result<()> {
+        self.checkpoint.validate()?;
+        self.golden.validate()?;
+        self.storage().check(self.checkpoint)?;
+        if let Some(rounding) = &self.rounding {
+            rounding.validate()?;
+        }
+        if let Some((sampler, golden)) = self.sampler {
+            check_sampler(sampler, self.checkpoint)?;
+            golden.validate()?;
+        }
+        Ok(())
+    }
+
+    /// The ONNX graphs.
+    fn graphs(&self) -> Result<Vec<(GraphFile, Vec<u8>)>> {
+        let Self { checkpoint, opset, .. } = *self;
+        let options = onnx::Options { storage: self.storage(), opset };
+        let architecture = &checkpoint.header.architecture;
+        let layout = onnx::Layout::of(architecture);
+        let file = |file: &str, (inputs, outputs): (Vec<Port>, Vec<Port>)| GraphFile {
+            file: file.into(),
+            opset,
+            inputs: inputs.into_iter().map(GraphPort::from).collect(),
+            outputs: outputs.into_iter().map(GraphPort::from).collect(),
+        };
+        let rgb = || vec![onnx::output(layout)];
+        let inputs = onnx::decoder_inputs(layout, architecture.model.texture.channels);
+        let mut graphs = vec![
+            (file(DECODER, (inputs, rgb())), onnx::decoder_graph(checkpoint, options)?),
+            (
+                file(MATERIAL, (onnx::material_inputs(layout), rgb())),
+                onnx::material_graph(checkpoint, options)?,
+            ),
+        ];
+        if architecture.neighbourhood().is_none() {
+            let sampler = self.sampler.map(|(sampler, _)| sampler);
+            let ports = onnx::prepare_ports(architecture, sampler.map(|s| &s.header.config))?;
+            graphs.push((file(PREPARE, ports), onnx::prepare_graph(checkpoint, sampler, options)?));
+            let ports = onnx::evaluate_ports(architecture)?;
+            graphs.push((file(EVALUATE, ports), onnx::evaluate_graph(checkpoint, options)?));
+        }
+        if let Some((sampler, _)) = self.sampler {
+            let config = &sampler.header.config;
+            graphs.push((file(SAMPLE, onnx::sample_ports(config)), onnx::sample_graph(sampler, opset)?));
+            graphs.push((file(PDF, onnx::pdf_ports(config)), onnx::pdf_graph(sampler, opset)?));
+        }
+        Ok(graphs)
+    }
+}
+
+/// Checks that a sampler reads what a model gives.
+fn check_sampler(sampler: &Sampler, checkpoint: &Checkpoint) -> Result<()> {
+    sampler.validate()?;
+    let architecture = &checkpoint.header.architecture;
+    if architecture.neighbourhood().is_some() {
+        return Err(Error::config("sampler", "a decoder that reads neighbours has none"));
+    }
+    match (sampler.header.config.features, architecture.model.texture.channels) {
+        (reads, has) if reads != has => {
+            Err(Error::config("sampler.features", format!("reads {reads} where the model has {has}")))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Reads a bundle: versions, the presence and checksum of every file, checkpoint and golden answers.
@@ -139,10 +237,28 @@ pub fn read_bundle(path: &Path) -> Result<Bundle> {
         return Err(Error::file(&file, format!("describes another architecture than {MODEL}")));
     }
     sidecar.storage().check(&checkpoint).map_err(|e| Error::file(path.join(MODEL), e))?;
-    let file = path.join(GOLDEN);
-    let golden: Golden = serde_json::from_slice(&read_small(&file)?).map_err(|e| Error::file(&file, e))?;
-    golden.validate().map_err(|e| Error::file(&file, e))?;
-    Ok(Bundle { sidecar, checkpoint, golden })
+    let golden: Golden = read_json(&path.join(GOLDEN))?;
+    golden.validate().map_err(|e| Error::file(path.join(GOLDEN), e))?;
+    let sampler = match &sidecar.sampler {
+        None => None,
+        Some(described) => {
+            let file = path.join(&described.file);
+            let sampler = Sampler::read(&file)?;
+            check_sampler(&sampler, &checkpoint).map_err(|e| Error::file(&file, e))?;
+            if sampler.header.config != described.config {
+                return Err(Error::file(&file, format!("is another sampler than {SIDECAR} describes")));
+            }
+            let file = path.join(&described.golden);
+            let golden: SamplerGolden = read_json(&file)?;
+            golden.validate().map_err(|e| Error::file(&file, e))?;
+            Some((sampler, golden))
+        }
+    };
+    Ok(Bundle { sidecar, checkpoint, golden, sampler })
+}
+
+fn read_json<T: serde::de::DeserializeOwned>(file: &Path) -> Result<T> {
+    serde_json::from_slice(&read_small(file)?).map_err(|e| Error::file(file, e))
 }
 
 /// True if `out` is a bundle to be replaced, false if nothing is there.
@@ -248,57 +364,4 @@ fn digest(bytes: &[u8]) -> String {
 
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|b| format!("{b:02x}")).collect()
-}
-
-fn readme(checkpoint: &Checkpoint, rounded: Option<&TexturePrecision>, planes: usize) -> String {
-    let architecture = &checkpoint.header.architecture;
-    let [height, width] = architecture.resolution;
-    let rounding = match rounded.filter(|p| p.storage == Precision::Half) {
-        None => "The textures were rounded to half floats in the EXR files only.".to_string(),
-        Some(TexturePrecision { largest_difference: largest, mean_difference: mean, .. }) => format!(
-            "The textures were rounded to half floats in every file. That moved the golden answers by at most\n\
-             {largest:.1e} (1 + |value|), {mean:.1e} (1 + |value|) in the mean."
-        ),
-    };
-    let (extents, images) = match architecture.neighbourhood() {
-        None => ("N", String::new()),
-        Some(radius) => (
-            "N, H, W",
-            format!(
-                "\n\
-                 The decoder is a convolutional network: an answer depends on all queries within {radius} samples. The graphs\n\
-                 take images of regular grids (one pair of directions and one whole level an image, samples at the centres of\n\
-                 that level's texels) and take each as periodic: give a whole tile, or a part of it with {radius} samples more\n\
-                 on each side, which are cut off the answer. golden.json has such images, one after another.\n"
-            ),
-        ),
-    };
-    format!(
-        "{name}: a neural material ({height} x {width} texels, {levels} levels)\n\
-         \n\
-         {MATERIAL}       the whole material: u, wi, wo [{extents}, 2] and level [{extents}] in, rgb [{extents}, 3] out\n\
-         {DECODER}        the network alone, for renderers that look the textures up themselves:\n\
-         \x20                   features [{extents}, {channels}] first, then the same inputs\n\
-         *.exr               {planes} files of neural textures: half floats, four channels, mip levels\n\
-         {MODEL}   all weights and textures as 32-bit floats\n\
-         {SIDECAR}       conventions, interfaces, costs, errors, checksums, how to evaluate step by step\n\
-         {GOLDEN}         queries and answers: a reader is right if it reproduces rgb within `tolerance`,\n\
-         \x20                   |difference| <= tolerance (1 + |rgb|)\n\
-         \n\
-         In short: wi points to the light and wo to the viewer, both away from the surface, as x and y of\n\
-         unit vectors in the local frame (z along the normal). u is the position on the tile and repeats with\n\
-         period 1. level is log2 of the footprint in texels. rgb is linear; {measure}.\n\
-         {rounding}\n\
-         {images}\
-         \n\
-         To check this bundle with Python (numpy and onnxruntime): python neumip_onnx.py FOLDER --check\n\
-         The script is export/consumers/python/neumip_onnx.py in the neumip repository.\n",
-        name = checkpoint.header.material,
-        levels = architecture.levels(),
-        channels = architecture.model.texture.channels,
-        measure = match checkpoint.header.measure {
-            crate::Measure::RadianceCosine => "the cosine of the light is in it",
-            crate::Measure::Reflectance => "the cosine of the light is not in it",
-        },
-    )
 }

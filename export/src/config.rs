@@ -7,7 +7,7 @@ mod inception;
 pub use inception::{Convolution, DECODER, InceptionConfig};
 
 use crate::error::{Error, Result};
-use crate::precision::Precision;
+use crate::precision::Storage;
 use serde::{Deserialize, Serialize};
 
 /// Widest network, most channels and most bands that a configuration may ask for: bounds what a header can allocate.
@@ -414,12 +414,12 @@ impl Architecture {
 
     /// Bytes of all weights and textures as f32.
     pub fn bytes(&self) -> usize {
-        self.bytes_as(Precision::Single)
+        self.bytes_as(Storage::SINGLE)
     }
 
-    /// Bytes of all weights as f32 and of textures as they are stored.
-    pub fn bytes_as(&self, textures: Precision) -> usize {
-        4 * self.network_weights() + textures.bytes() * self.texture_values()
+    /// Bytes of all weights and textures as they are stored.
+    pub fn bytes_as(&self, storage: Storage) -> usize {
+        storage.weights.bytes() * self.network_weights() + storage.textures.bytes() * self.texture_values()
     }
 
     /// Multiply-adds of the networks times 2, a query.

@@ -52,6 +52,49 @@ impl Golden {
     }
 }
 
+/// What a sampler gives: from (u, wo, level) and xi to wi and its density, entry by entry. A density may be off by
+/// `tolerance` times itself, a component of wi by `tolerance`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SamplerGolden {
+    /// Largest difference.
+    pub tolerance: f64,
+    /// Positions.
+    pub u: Vec<[f32; 2]>,
+    /// View directions.
+    pub wo: Vec<[f32; 2]>,
+    /// Levels.
+    pub level: Vec<f32>,
+    /// Uniform numbers.
+    pub xi: Vec<[f32; 2]>,
+    /// Light directions, unit vectors.
+    pub wi: Vec<[f32; 3]>,
+    /// Their densities over solid angle.
+    pub pdf: Vec<f32>,
+}
+
+impl SamplerGolden {
+    /// Checks lengths, and that every value is finite.
+    ///
+    /// # Errors
+    /// `Config`, naming the field.
+    pub fn validate(&self) -> Result<()> {
+        if !(self.tolerance.is_finite() && self.tolerance > 0.0) {
+            return Err(Error::config("golden.tolerance", format!("{} must be positive", self.tolerance)));
+        }
+        let n = self.u.len();
+        if n == 0 {
+            return Err(Error::config("golden.u", "is empty"));
+        }
+        check("u", &self.u, n)?;
+        check("wo", &self.wo, n)?;
+        check("level", self.level.as_chunks::<1>().0, n)?;
+        check("xi", &self.xi, n)?;
+        check("wi", &self.wi, n)?;
+        check("pdf", self.pdf.as_chunks::<1>().0, n)
+    }
+}
+
 fn check<const C: usize>(field: &str, rows: &[[f32; C]], n: usize) -> Result<()> {
     if rows.len() != n {
         return Err(Error::config(

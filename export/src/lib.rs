@@ -1,7 +1,8 @@
 //! The neumip checkpoint format, and everything that turns a checkpoint into what other programs read.
 //!
 //! ```text
-//! checkpoint file -> Checkpoint -> ONNX graphs, EXR textures, material.json -> bundle
+//! checkpoint file -> Checkpoint -> ONNX graphs, EXR textures, weights, shader source, material.json -> bundle
+//! sampler file ---> Sampler ------^
 //!                                  golden answers (computed elsewhere) ------^
 //! ```
 //!
@@ -15,6 +16,7 @@ mod error;
 pub mod golden;
 pub mod onnx;
 pub mod precision;
+mod readme;
 pub mod sampler;
 pub mod sidecar;
 pub mod tensors;
@@ -22,11 +24,11 @@ pub mod textures;
 pub mod weights;
 pub mod whole_file;
 
-pub use bundle::{Bundle, BundleFile, read_bundle, write_bundle, write_bundle_as};
+pub use bundle::{Bundle, BundleFile, Contents, read_bundle};
 pub use checkpoint::{Checkpoint, Header, Measure};
 pub use config::Architecture;
 pub use error::{Error, Result};
-pub use golden::Golden;
-pub use precision::{Precision, TexturePrecision};
+pub use golden::{Golden, SamplerGolden};
+pub use precision::{Precision, Rounding, Storage};
 pub use sampler::{Sampler, SamplerConfig};
 pub use tensors::{Tensor, read_tensors, write_tensors};

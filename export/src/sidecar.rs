@@ -1,15 +1,17 @@
 //! `material.json`: what a bundle holds and how to evaluate it, in words and numbers.
 
-use crate::bundle::BundleFile;
-use crate::checkpoint::{Checkpoint, Header, Measure};
+use crate::bundle::{BundleFile, Contents, SAMPLER, SAMPLER_GOLDEN};
+use crate::checkpoint::{Header, Measure};
 use crate::config::{
     Architecture, DecoderConfig, DirectionEncoding, InceptionConfig, OFFSET_TEXTURE, OutputSpace,
     OutputTransform, ParallaxConfig,
 };
 use crate::error::{Error, Result};
-use crate::onnx::{self, Port};
-use crate::precision::{Precision, TexturePrecision};
+use crate::onnx::{Opset, Port};
+use crate::precision::{Precision, Rounding, Storage};
+use crate::sampler::{CENTRES, Frame, LOG_SCALES, LOGITS, SHEARS, SamplerConfig};
 use crate::textures::TextureFile;
+use crate::weights::{self, Layout};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::path::{Component, Path};
@@ -35,14 +37,14 @@ pub struct Sidecar {
     pub levels: usize,
     /// What the material costs.
     pub cost: Cost,
-    /// How texture values are stored and what that costs; absent: as 32-bit floats, which costs nothing.
+    /// How numbers are stored and what that costs; absent: as 32-bit floats, which costs nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub texture_precision: Option<TexturePrecision>,
+    pub rounding: Option<Rounding>,
     /// How far away a query may lie that an answer depends on, in samples of a regular grid; absent: each answer depends on
     /// its own query alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub neighbourhood: Option<usize>,
-    /// The error table, of the textures before rounding.
+    /// The error table, of the model before rounding.
     pub errors: serde_json::Value,
     /// The conventions, in words.
     pub conventions: Vec<String>,
@@ -52,6 +54,12 @@ pub struct Sidecar {
     pub graphs: Vec<GraphFile>,
     /// The texture files.
     pub textures: Vec<TextureFile>,
+    /// The networks' weights without a container; absent where the decoder is convolutional.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weights: Option<WeightFiles>,
+    /// Importance sampling of wi; absent: sample the cosine.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sampler: Option<SamplerFiles>,
     /// The model's configuration and resolution.
     pub architecture: Architecture,
     /// Every other file of the bundle.
@@ -68,8 +76,38 @@ pub struct Cost {
     pub network_weights: usize,
     /// Texels times channels of all textures.
     pub texture_values: usize,
-    /// Bytes of both: 32-bit floats, texture values as they are stored.
+    /// Bytes of both as they are stored.
     pub bytes: usize,
+}
+
+/// The block of the networks' weights ([`crate::weights`]).
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WeightFiles {
+    /// The file of 32-bit floats.
+    pub single: String,
+    /// The file of 16-bit floats.
+    pub half: String,
+    /// How both are laid out.
+    pub order: String,
+    /// Where everything is.
+    pub layout: Layout,
+}
+
+/// The files of the importance sampler ([`crate::sampler`]).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SamplerFiles {
+    /// Its network.
+    pub file: String,
+    /// Its golden answers.
+    pub golden: String,
+    /// The mixture.
+    pub config: SamplerConfig,
+    /// How it was fitted and what it gains.
+    pub provenance: serde_json::Value,
+    /// How a direction is sampled, step by step.
+    pub evaluate: Vec<String>,
 }
 
 /// An ONNX graph's interface.
@@ -79,7 +117,7 @@ pub struct GraphFile {
     /// File name.
     pub file: String,
     /// Operator set.
-    pub opset: i64,
+    pub opset: Opset,
     /// Inputs, in order.
     pub inputs: Vec<GraphPort>,
     /// Outputs.
@@ -107,27 +145,32 @@ impl From<Port> for GraphPort {
 }
 
 impl Sidecar {
-    /// Describes a checkpoint and the files that were made from it.
+    /// Describes what a bundle is made of and the files that were made from it.
     pub fn new(
-        checkpoint: &Checkpoint,
-        texture_precision: Option<TexturePrecision>,
+        contents: &Contents,
+        graphs: Vec<GraphFile>,
         textures: Vec<TextureFile>,
         files: Vec<BundleFile>,
     ) -> Self {
-        let Header { architecture, .. } = &checkpoint.header;
-        let storage = texture_precision.map_or(Precision::Single, |p| p.storage);
-        let layout = onnx::Layout::of(architecture);
-        let graph = |file: &str, inputs: Vec<Port>| GraphFile {
-            file: file.into(),
-            opset: onnx::OPSET,
-            inputs: inputs.into_iter().map(GraphPort::from).collect(),
-            outputs: vec![onnx::output(layout).into()],
-        };
+        let Header { architecture, material, measure, height_range, errors, .. } =
+            &contents.checkpoint.header;
+        let storage = contents.storage();
+        let sampler = contents.sampler.map(|(sampler, _)| &sampler.header);
+        let weights = architecture.decoder_widths().map(|_| WeightFiles {
+            single: weights::SINGLE.into(),
+            half: weights::HALF.into(),
+            order: format!(
+                "Little-endian, layer after layer: weight row-major [padded_outputs][padded_inputs], then bias \
+                 [padded_outputs]; both sides padded with zeros to multiples of {}. Places are in values.",
+                weights::PAD
+            ),
+            layout: Layout::new(architecture, sampler.map(|s| &s.config)),
+        });
         Self {
             format: FORMAT,
-            material: checkpoint.header.material.clone(),
-            measure: checkpoint.header.measure,
-            height_range: checkpoint.header.height_range,
+            material: material.clone(),
+            measure: *measure,
+            height_range: *height_range,
             resolution: architecture.resolution,
             levels: architecture.levels(),
             cost: Cost {
@@ -136,24 +179,29 @@ impl Sidecar {
                 texture_values: architecture.texture_values(),
                 bytes: architecture.bytes_as(storage),
             },
-            texture_precision,
+            rounding: contents.rounding,
             neighbourhood: architecture.neighbourhood(),
-            errors: checkpoint.header.errors.clone(),
-            conventions: conventions(checkpoint.header.measure, storage, architecture.neighbourhood()),
+            errors: errors.clone(),
+            conventions: conventions(*measure, storage, architecture.neighbourhood()),
             evaluate: steps(architecture),
-            graphs: vec![
-                graph("decoder.onnx", onnx::decoder_inputs(layout, architecture.model.texture.channels)),
-                graph("material.onnx", onnx::material_inputs(layout)),
-            ],
+            graphs,
             textures,
+            weights,
+            sampler: sampler.map(|header| SamplerFiles {
+                file: SAMPLER.into(),
+                golden: SAMPLER_GOLDEN.into(),
+                config: header.config.clone(),
+                provenance: header.provenance.clone(),
+                evaluate: sampler_steps(&header.config),
+            }),
             architecture: architecture.clone(),
             files,
         }
     }
 
-    /// How texture values are stored.
-    pub fn storage(&self) -> Precision {
-        self.texture_precision.map_or(Precision::Single, |p| p.storage)
+    /// How numbers are stored.
+    pub fn storage(&self) -> Storage {
+        self.rounding.map_or(Storage::SINGLE, |rounding| rounding.storage)
     }
 
     /// Parses `material.json`, checks its version and that every file is named once, plainly.
@@ -172,8 +220,11 @@ impl Sidecar {
         }
         let sidecar: Self = serde_json::from_slice(json).map_err(broken)?;
         sidecar.architecture.validate()?;
-        if let Some(precision) = &sidecar.texture_precision {
-            precision.validate()?;
+        if let Some(rounding) = &sidecar.rounding {
+            rounding.validate()?;
+        }
+        if let Some(sampler) = &sidecar.sampler {
+            sampler.config.validate()?;
         }
         let mut names = BTreeSet::new();
         for BundleFile { name, .. } in &sidecar.files {
@@ -187,7 +238,10 @@ impl Sidecar {
             }
         }
         let graphs = sidecar.graphs.iter().map(|g| &g.file);
-        for name in graphs.chain(sidecar.textures.iter().map(|t| &t.file)) {
+        let weights = sidecar.weights.iter().flat_map(|w| [&w.single, &w.half]);
+        let sampler = sidecar.sampler.iter().flat_map(|s| [&s.file, &s.golden]);
+        let textures = sidecar.textures.iter().map(|t| &t.file);
+        for name in graphs.chain(textures).chain(weights).chain(sampler) {
             if !names.contains(name.as_str()) {
                 return Err(Error::config("files", format!("{name:?} is described and not listed")));
             }
@@ -197,7 +251,7 @@ impl Sidecar {
 }
 
 /// The conventions of the project, for a reader who has nothing else.
-fn conventions(measure: Measure, storage: Precision, neighbourhood: Option<usize>) -> Vec<String> {
+fn conventions(measure: Measure, storage: Storage, neighbourhood: Option<usize>) -> Vec<String> {
     let rgb = match measure {
         Measure::RadianceCosine => {
             "RGB is linear and is f cos(theta_i) averaged over the footprint: the radiance under a distant light \
@@ -208,7 +262,7 @@ fn conventions(measure: Measure, storage: Precision, neighbourhood: Option<usize
              for radiance."
         }
     };
-    let mut conventions = vec![
+    let conventions = vec![
         "Local frame: x along u, y along v, z along the normal. wi points to the light, wo to the viewer, both \
          away from the surface, unit length; they are given as (x, y), with z = sqrt(1 - x^2 - y^2).",
         "x^2 + y^2 >= 1 means on or below the horizon: the answer is 0.",
@@ -217,14 +271,20 @@ fn conventions(measure: Measure, storage: Precision, neighbourhood: Option<usize
         "level is log2 of the footprint's size in texels of the finest level; levels are continuous.",
         rgb,
     ];
-    if storage == Precision::Half {
-        conventions.push(
-            "Texture values are 16-bit floats in material.onnx and in the EXR files, and the same numbers as 32-bit \
-             floats in model.safetensors; all arithmetic is in 32-bit floats. errors is the table of the textures \
-             before rounding.",
-        );
-    }
     let mut conventions: Vec<String> = conventions.into_iter().map(String::from).collect();
+    let stored = |precision: Precision| match precision {
+        Precision::Single => "32-bit floats",
+        Precision::Half => "16-bit floats",
+        Precision::Byte => "8-bit integers times a factor for each channel",
+    };
+    if storage != Storage::SINGLE {
+        conventions.push(format!(
+            "Texture values are {} and weights are {} in the graphs; every other file has the same rounded numbers, and all \
+             arithmetic is in 32-bit floats. errors is the table of the model before rounding.",
+            stored(storage.textures),
+            stored(storage.weights)
+        ));
+    }
     conventions.extend(neighbourhood.map(|radius| {
         format!(
             "An answer depends on all queries within {radius} samples, so the graphs take images [N, H, W] of regular grids: \
@@ -300,6 +360,44 @@ fn decoder_step(inception: &InceptionConfig) -> String {
          decoder.out, 1x1. relu after every convolution but the last. Tensors: decoder.module0.path2.reduce.weight \
          [out, in, side, side], ..."
     )
+}
+
+/// How a direction is sampled, with this sampler's numbers.
+fn sampler_steps(config: &SamplerConfig) -> Vec<String> {
+    let frames: Vec<String> = config
+        .lobes
+        .iter()
+        .enumerate()
+        .map(|(k, frame)| match frame {
+            Frame::Surface => format!("lobe {k} is around the normal: A = L, b = c"),
+            Frame::Mirror => format!("lobe {k} is around the mirror direction: A = T L, b = m + T c"),
+        })
+        .collect();
+    vec![
+        format!(
+            "Network: sampler.mlp of [features, wo.x, wo.y], ReLU between layers, features as the decoder gets them; {} values \
+             a lobe: logit in {LOGITS:?}, c.x and c.y in {CENTRES:?}, p in {LOG_SCALES:?}, r in {SHEARS:?}, q in \
+             {LOG_SCALES:?}, clamped.",
+            crate::sampler::OUTPUTS_PER_LOBE
+        ),
+        format!(
+            "Lobes: L = [[e^p, 0], [r e^p, e^q]]; m = -wo.xy / max(wo.z, {}), g = sqrt(1 + |m|^2), T = g (I + m m^T / (1 + g)); \
+             {}. Before them comes the cosine: A = I, b = 0.",
+            config.min_z,
+            frames.join("; ")
+        ),
+        format!(
+            "Weights: softmax of (0, logits...) times {}, and {} more for the cosine.",
+            1.0 - config.cosine_floor,
+            config.cosine_floor
+        ),
+        "Sample: choose a lobe by xi.x and rescale, x = (xi.x - weights before it) / its weight; t = sqrt(x / (1 - x)) \
+         (cos(2 pi xi.y), sin(2 pi xi.y)); s = A t + b; wi = normalize(s.x, s.y, 1)."
+            .into(),
+        "Density: the sum over lobes of weight z / (pi |det A| (z^2 + |v|^2)^2), v = A^-1 (wi.xy - b z), z = wi.z; 0 on and \
+         below the horizon."
+            .into(),
+    ]
 }
 
 fn encoding_step(architecture: &Architecture) -> String {

@@ -72,7 +72,10 @@ impl Bench {
         let options = self.options()?;
         options.validate()?;
         if let Some(path) = &self.onnx {
-            write_whole(path, &onnx::material_graph(&options.subject.checkpoint()?)?)?;
+            write_whole(
+                path,
+                &onnx::material_graph(&options.subject.checkpoint()?, onnx::Options::default())?,
+            )?;
         }
         // In thousandths of a percent.
         const PARTS: f64 = 100_000.0;

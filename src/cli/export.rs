@@ -1,57 +1,153 @@
 //! `neumip export`.
 
 use super::console::Console;
+use crate::artefacts::{self, Artefact};
 use crate::error::{Error, Result};
 use crate::onnx_material::{OnnxMaterial, largest_difference};
 use crate::query::QueryBuffer;
 use crate::{checkpoint, golden};
 use clap::Args;
-use neumip_export::bundle::MATERIAL;
-use neumip_export::{BundleFile, Checkpoint, Golden, Precision, TexturePrecision, onnx, write_bundle_as};
+use neumip_export::bundle::{MATERIAL, SIDECAR};
+use neumip_export::onnx::{self, Opset};
+use neumip_export::{
+    BundleFile, Checkpoint, Contents, Golden, Rounding, Sampler, SamplerGolden, Storage, read_bundle,
+};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Write what another renderer needs: ONNX graphs, textures, conventions, golden answers.
+/// Write what another renderer needs: ONNX graphs, textures, weights, conventions, golden answers.
 #[derive(Debug, Args)]
-#[command(after_help = "Example: neumip export runs/metal --out bundles/metal")]
+#[command(after_help = "Examples: neumip export runs/metal --out bundles/metal --check\n          \
+                        neumip export bundles/metal --check")]
 pub struct Export {
-    /// A run's folder or a checkpoint.
+    /// A run's folder or a checkpoint; with --check and without --out, a bundle.
     run: PathBuf,
     /// The bundle's folder.
     #[arg(long)]
-    out: PathBuf,
-    /// Round the textures to half floats before anything is written, store them so in material.onnx, and say what that
-    /// changes of the answers.
-    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Round textures and weights to half floats before anything is written, store them so in the graphs, and say what
+    /// that changes of the answers.
+    #[arg(long, conflicts_with_all = ["half_textures", "int8"])]
+    half: bool,
+    /// As --half, of the textures alone.
+    #[arg(long, conflicts_with = "int8")]
     half_textures: bool,
+    /// Round textures to 8-bit integers with a factor for each channel, and weights to half floats; refused where that
+    /// moves the answers too far.
+    #[arg(long)]
+    int8: bool,
+    /// Operator set of the ONNX graphs: 13, 17 or 21.
+    #[arg(long, default_value_t = 17)]
+    opset: i64,
+    /// Put this importance sampler into the bundle.
+    #[arg(long)]
+    sampler: Option<PathBuf>,
+    /// Run the golden answers through everything in the bundle that can be run here.
+    #[arg(long)]
+    check: bool,
     /// Replace an existing bundle.
     #[arg(long)]
     force: bool,
-    /// Write the list of files here.
+    /// Write the list of files and what the check found here.
     #[arg(long)]
     json: Option<PathBuf>,
 }
+
+/// Largest mean difference / (1 + |value|) that `--int8` may cost: the error of a well-trained material in a linear
+/// channel, so that a bundle is not mostly rounding.
+const MOST_OF_BYTES: f64 = 1e-2;
 
 impl Export {
     /// Runs the command.
     pub fn run(self, console: &Console) -> Result<()> {
         super::check_json(self.json.as_deref())?;
-        let textures = if self.half_textures { Precision::Half } else { Precision::Single };
-        let bundle = bundle_as(&checkpoint::load(&self.run)?, textures, &self.out, self.force)?;
+        let Some(out) = &self.out else {
+            return self.check_bundle(console);
+        };
+        let opset = Opset::try_from(self.opset).map_err(|e| Error::usage(format!("--opset: {e}")))?;
+        let choices = Choices { storage: self.storage(), opset, sampler: self.sampler.clone() };
+        let mut bundle = bundle_as(&checkpoint::load(&self.run)?, &choices, out, self.force)?;
         for file in &bundle.files {
-            console.say(format!("{:>10}  {}", file.bytes, self.out.join(&file.name).display()));
+            console.say(format!("{:>10}  {}", file.bytes, out.join(&file.name).display()));
         }
         console.say(format!(
             "material.onnx answers within {:.1e} (1 + |value|) of the model",
             bundle.difference
         ));
-        if let Some(cost) = &bundle.texture_precision {
+        if let Some(cost) = &bundle.rounding {
             console.say(format!(
-                "half textures move the answers by at most {:.1e} (1 + |value|), {:.1e} in the mean",
-                cost.largest_difference, cost.mean_difference
+                "{} move the answers by at most {:.1e} (1 + |value|), {:.1e} in the mean",
+                named(cost.storage),
+                cost.largest_difference,
+                cost.mean_difference
             ));
         }
-        super::save_json(self.json.as_deref(), &bundle)
+        if self.check {
+            bundle.artefacts = checked(out, console)?;
+        }
+        super::save_json(self.json.as_deref(), &bundle)?;
+        verdict(&bundle.artefacts, out)
+    }
+
+    fn storage(&self) -> Storage {
+        match (self.half, self.half_textures, self.int8) {
+            (true, ..) => Storage::HALF,
+            (_, true, _) => Storage::HALF_TEXTURES,
+            (.., true) => Storage::BYTE,
+            _ => Storage::SINGLE,
+        }
+    }
+
+    fn check_bundle(&self, console: &Console) -> Result<()> {
+        let used = [
+            (self.half, "--half"),
+            (self.half_textures, "--half-textures"),
+            (self.int8, "--int8"),
+            (self.sampler.is_some(), "--sampler"),
+            (self.force, "--force"),
+        ];
+        if let Some((_, flag)) = used.iter().find(|(used, _)| *used) {
+            return Err(Error::usage(format!("{flag}: needs --out, the bundle to write")));
+        }
+        if !self.check {
+            return Err(Error::usage("--out: name the bundle's folder, or --check an existing one"));
+        }
+        if !self.run.join(SIDECAR).is_file() {
+            let problem = format!("is no bundle to check (it has no {SIDECAR}); with --out one is written");
+            return Err(Error::file(&self.run, problem));
+        }
+        let artefacts = checked(&self.run, console)?;
+        super::save_json(self.json.as_deref(), &artefacts)?;
+        verdict(&artefacts, &self.run)
+    }
+}
+
+/// Runs what can be run of a bundle and says how it went.
+fn checked(folder: &Path, console: &Console) -> Result<Vec<Artefact>> {
+    let artefacts = artefacts::check(folder, &read_bundle(folder)?)?;
+    for Artefact { files, by, difference, bound } in &artefacts {
+        console.say(format!("{files:<30} {by:<36} off by {difference:.1e}, at most {bound:.0e} is right"));
+    }
+    Ok(artefacts)
+}
+
+/// An error that names the first artefact that is wrong.
+fn verdict(artefacts: &[Artefact], folder: &Path) -> Result<()> {
+    match artefacts.iter().find(|artefact| !artefact.is_right()) {
+        None => Ok(()),
+        Some(Artefact { files, by, difference, bound }) => {
+            let problem = format!("{files} ({by}) is off by {difference:.1e} where {bound:.0e} is allowed");
+            Err(Error::file(folder, problem))
+        }
+    }
+}
+
+fn named(storage: Storage) -> &'static str {
+    match storage {
+        Storage::HALF_TEXTURES => "half textures",
+        Storage::HALF => "half textures and weights",
+        Storage::BYTE => "byte textures and half weights",
+        _ => "rounded numbers",
     }
 }
 
@@ -62,47 +158,67 @@ pub struct Written {
     pub files: Vec<BundleFile>,
     /// Largest |difference| / (1 + |value|) of its graph's golden answers.
     pub difference: f64,
-    /// What rounding the textures cost, where they were.
+    /// What rounding cost, where numbers were rounded.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub texture_precision: Option<TexturePrecision>,
+    pub rounding: Option<Rounding>,
+    /// What `--check` found.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub artefacts: Vec<Artefact>,
+}
+
+/// How a bundle is made.
+#[derive(Clone, Debug)]
+pub struct Choices {
+    /// How numbers are stored.
+    pub storage: Storage,
+    /// Operator set of the graphs.
+    pub opset: Opset,
+    /// The importance sampler's file.
+    pub sampler: Option<PathBuf>,
+}
+
+impl Default for Choices {
+    fn default() -> Self {
+        Self { storage: Storage::SINGLE, opset: Opset::default(), sampler: None }
+    }
 }
 
 /// Writes the bundle of a checkpoint with its golden answers, once an engine that is not ours gives the same from its graph.
 pub fn bundle(checkpoint: &Checkpoint, out: &Path, force: bool) -> Result<Written> {
-    bundle_as(checkpoint, Precision::Single, out, force)
+    bundle_as(checkpoint, &Choices::default(), out, force)
 }
 
-/// As [`bundle`], with textures rounded to a precision before anything is written.
-pub fn bundle_as(checkpoint: &Checkpoint, textures: Precision, out: &Path, force: bool) -> Result<Written> {
-    match textures {
-        Precision::Single => {
-            let golden = golden::answers(checkpoint, golden::QUERIES)?;
-            checked(checkpoint, &golden, None, out, force)
-        }
-        Precision::Half => {
-            let rounded = golden::rounded(checkpoint, textures, golden::QUERIES)?;
-            checked(&rounded.checkpoint, &rounded.golden, Some(rounded.cost), out, force)
-        }
+/// As [`bundle`], as it is asked for.
+pub fn bundle_as(checkpoint: &Checkpoint, choices: &Choices, out: &Path, force: bool) -> Result<Written> {
+    let sampler: Option<(Sampler, SamplerGolden)> = None;
+    let mut contents = checkpoint.clone();
+    let (answers, rounding) = if choices.storage == Storage::SINGLE {
+        (golden::answers(checkpoint, golden::QUERIES)?, None)
+    } else {
+        let rounded = golden::rounded(checkpoint, choices.storage, golden::QUERIES)?;
+        contents = rounded.checkpoint;
+        (rounded.golden, Some(rounded.cost))
+    };
+    if let Some(Rounding { mean_difference: mean, .. }) = rounding.filter(|r| r.storage == Storage::BYTE)
+        && mean.is_nan() | (mean > MOST_OF_BYTES)
+    {
+        let problem =
+            format!("would move the answers by {mean:.1e} in the mean, more than {MOST_OF_BYTES:.0e}");
+        return Err(Error::config("--int8", format!("{problem}; use --half")));
     }
-}
-
-fn checked(
-    checkpoint: &Checkpoint,
-    golden: &Golden,
-    texture_precision: Option<TexturePrecision>,
-    out: &Path,
-    force: bool,
-) -> Result<Written> {
-    let textures = texture_precision.map_or(Precision::Single, |p| p.storage);
-    let difference = difference(checkpoint, textures, golden, &out.join(MATERIAL))?;
-    let files = write_bundle_as(checkpoint, golden, texture_precision, out, force)?;
-    Ok(Written { files, difference, texture_precision })
+    let sampler = sampler.as_ref().map(|(sampler, golden)| (sampler, golden));
+    let contents =
+        Contents { checkpoint: &contents, golden: &answers, rounding, sampler, opset: choices.opset };
+    let difference = difference(&contents, &out.join(MATERIAL))?;
+    let files = contents.write(out, force)?;
+    Ok(Written { files, difference, rounding, artefacts: Vec::new() })
 }
 
 /// Runs the graph that is about to be written as `path`.
-fn difference(checkpoint: &Checkpoint, textures: Precision, golden: &Golden, path: &Path) -> Result<f64> {
-    let graph = OnnxMaterial::from_bytes(path, onnx::material_graph_as(checkpoint, textures)?)?;
-    let Golden { u, wi, wo, level, rgb, tolerance, images } = golden.clone();
+fn difference(contents: &Contents, path: &Path) -> Result<f64> {
+    let options = onnx::Options { storage: contents.storage(), opset: contents.opset };
+    let graph = OnnxMaterial::from_bytes(path, onnx::material_graph(contents.checkpoint, options)?)?;
+    let Golden { u, wi, wo, level, rgb, tolerance, images } = contents.golden.clone();
     let queries = QueryBuffer::new(1, level.len(), u, wi, wo, level)?;
     let difference = largest_difference(&graph.answers(&queries, images)?, &rgb);
     if difference.is_nan() || difference > tolerance {

@@ -8,8 +8,8 @@ use crate::evaluate::{Row, motion_table, split_table, view_table};
 use crate::lpips::Lpips;
 use crate::query::Reflectance;
 use crate::results::Cell;
-use neumip_export::Precision;
 use neumip_export::config::Architecture;
+use neumip_export::{Precision, Storage};
 
 /// Held-out splits.
 const HELD_OUT: [SplitName; 3] = [SplitName::Test, SplitName::Offgrid, SplitName::Grazing];
@@ -65,7 +65,7 @@ impl Answered {
         Self {
             suffix: if precision == Precision::Half { "-f16" } else { "" },
             engine,
-            bytes: architecture.bytes_as(precision),
+            bytes: architecture.bytes_as(Storage { textures: precision, ..Storage::SINGLE }),
             flops: architecture.flops_per_query(),
         }
     }

@@ -52,6 +52,11 @@ impl Builder {
         self.constant(name, proto::FLOAT16, shape, raw)
     }
 
+    /// A constant of 8-bit integers, named as given.
+    pub fn bytes(&mut self, name: &str, shape: &[usize], data: impl Iterator<Item = i8>) -> Value {
+        self.constant(name, proto::INT8, shape, data.map(|v| v as u8).collect())
+    }
+
     /// A constant of 32-bit integers, named as given.
     pub fn int32s(&mut self, name: &str, shape: &[usize], data: &[i32]) -> Value {
         let raw = data.iter().flat_map(|v| v.to_le_bytes()).collect();
@@ -119,14 +124,21 @@ impl Builder {
         Value(name)
     }
 
-    /// Columns `..first` and `first..first + second` of a matrix.
-    pub fn split(&mut self, name: &str, value: &Value, first: usize, second: usize) -> (Value, Value) {
+    /// Parts of extents `first` and `second` along an axis.
+    pub fn split(
+        &mut self,
+        name: &str,
+        value: &Value,
+        axis: i64,
+        first: usize,
+        second: usize,
+    ) -> (Value, Value) {
         let sizes = self.axes(&[first as i64, second as i64]);
         let name = self.unique(name);
         let outputs = [format!("{name}.0"), format!("{name}.1")];
         let axis = proto::Attribute {
             name: "axis".into(),
-            i: Some(1),
+            i: Some(axis),
             ints: Vec::new(),
             r#type: proto::ATTRIBUTE_INT,
         };
@@ -217,6 +229,32 @@ impl Builder {
             [one] => (*one).clone(),
             _ => self.node("Concat", name, parts, &[("axis", axis)]),
         }
+    }
+
+    /// The columns `[N, 1]` of a matrix.
+    pub fn columns(&mut self, name: &str, value: &Value, count: usize) -> Vec<Value> {
+        self.split_evenly(name, value, 1, count)
+    }
+
+    /// Parts of extent 1 along an axis.
+    pub fn split_evenly(&mut self, name: &str, value: &Value, axis: i64, count: usize) -> Vec<Value> {
+        let sizes = self.axes(&vec![1; count]);
+        let name = self.unique(name);
+        let outputs: Vec<String> = (0..count).map(|k| format!("{name}.{k}")).collect();
+        let axis = proto::Attribute {
+            name: "axis".into(),
+            i: Some(axis),
+            ints: Vec::new(),
+            r#type: proto::ATTRIBUTE_INT,
+        };
+        self.push("Split", name, &[value, &sizes], outputs.clone(), vec![axis]);
+        outputs.into_iter().map(Value).collect()
+    }
+
+    /// Removes axes of extent 1.
+    pub fn squeeze(&mut self, name: &str, a: &Value, axes: &[i64]) -> Value {
+        let axes = self.axes(axes);
+        self.node("Squeeze", name, &[a, &axes], &[])
     }
 
     /// Inserts axes of extent 1.

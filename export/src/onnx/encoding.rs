@@ -45,23 +45,30 @@ struct Lane {
     group: usize,
 }
 
-/// Encodes the wrapped `u` \[N, 2\], and the directions; `level` is \[N, 1\].
-pub fn encode(
-    b: &mut Builder,
-    architecture: &Architecture,
-    u: &Value,
-    wi: &Direction,
-    wo: &Direction,
-    level: &Value,
-) -> Encoded {
+/// What there is to encode; a graph that answers a part of a query has a part of it.
+#[derive(Clone, Copy, Default)]
+pub struct Inputs<'a> {
+    /// The wrapped u \[N, 2\] and the level \[N, 1\].
+    pub u: Option<(&'a Value, &'a Value)>,
+    /// The light direction.
+    pub wi: Option<&'a Direction>,
+    /// The view direction.
+    pub wo: Option<&'a Direction>,
+}
+
+/// Encodes what there is.
+pub fn encode(b: &mut Builder, architecture: &Architecture, inputs: &Inputs) -> Encoded {
     b.scope("encoding");
-    let sources = sources(b, architecture, u, wi, wo);
+    let sources = sources(b, architecture, inputs);
     let mut out = Encoded { parts: Vec::new(), columns: Vec::new(), uses_level: false };
     let lanes = lanes(&sources);
     if !lanes.is_empty() {
         let doublings = sources.iter().map(|s| s.bands.min(RESTART)).max().unwrap_or(1);
         let (mut sines, mut cosines) = waves(b, architecture, &sources, &lanes, doublings);
-        if architecture.model.encoding.u.attenuate && architecture.u_bands() > 0 {
+        if let Some((_, level)) = inputs.u
+            && architecture.model.encoding.u.attenuate
+            && architecture.u_bands() > 0
+        {
             let factor = attenuation(b, architecture, &sources, &lanes, doublings, level);
             sines = b.mul("sines.attenuated", &sines, &factor);
             cosines = b.mul("cosines.attenuated", &cosines, &factor);
@@ -88,16 +95,10 @@ pub fn encode(
 }
 
 /// The inputs that the decoder sees, in its order.
-fn sources(
-    b: &mut Builder,
-    architecture: &Architecture,
-    u: &Value,
-    wi: &Direction,
-    wo: &Direction,
-) -> Vec<Source> {
+fn sources(b: &mut Builder, architecture: &Architecture, inputs: &Inputs) -> Vec<Source> {
     let encoding = &architecture.model.encoding;
     let mut sources = Vec::with_capacity(3);
-    if architecture.u_inputs() > 0 {
+    if let Some((u, _)) = inputs.u.filter(|_| architecture.u_inputs() > 0) {
         let doubled = b.scale("p.doubled", u, 2.0);
         let one = b.scalar(1.0);
         sources.push(Source {
@@ -111,16 +112,18 @@ fn sources(
         });
     }
     let mut offset = architecture.u_inputs();
-    for (name, w, config) in [("wi", wi, &encoding.wi), ("wo", wo, &encoding.wo)] {
-        sources.push(Source {
-            value: if encoding.components == 3 { w.with_z(b, name) } else { w.xy.clone() },
-            components: encoding.components,
-            bands: config.bands,
-            raw: config.raw,
-            amplitude: config.amplitude,
-            offset,
-            is_u: false,
-        });
+    for (name, w, config) in [("wi", inputs.wi, &encoding.wi), ("wo", inputs.wo, &encoding.wo)] {
+        if let Some(w) = w {
+            sources.push(Source {
+                value: if encoding.components == 3 { w.with_z(b, name) } else { w.xy.clone() },
+                components: encoding.components,
+                bands: config.bands,
+                raw: config.raw,
+                amplitude: config.amplitude,
+                offset,
+                is_u: false,
+            });
+        }
         offset += architecture.direction_inputs(config);
     }
     sources

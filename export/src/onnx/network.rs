@@ -10,25 +10,73 @@ use crate::config::{
     DECODER_MLP, LevelSize, OFFSET_MLP, OFFSET_TEXTURE, OffsetConfig, OutputSpace, OutputTransform,
     YUV_TO_RGB, bias_name, weight_name,
 };
-use crate::error::Result;
-use crate::precision::Precision;
+use crate::error::{Error, Result};
+use crate::precision::{Precision, Storage};
+use crate::tensors::Tensor;
+use std::collections::BTreeMap;
 
-/// relu(x W^T + b) layer by layer, the last one linear. `columns` says where the first layer's columns come
-/// from; absent: they are as stored.
-fn mlp(
-    b: &mut Builder,
-    checkpoint: &Checkpoint,
-    prefix: &str,
+/// A network whose weights are stored as a precision says.
+#[derive(Clone, Copy)]
+pub struct Network<'a> {
+    /// Its tensors.
+    tensors: &'a BTreeMap<String, Tensor>,
+    prefix: &'a str,
     layers: usize,
-    input: Value,
-    columns: Option<&[Column]>,
-) -> Result<Value> {
-    let mut x = input;
-    for layer in 0..layers {
-        let name = weight_name(prefix, layer);
-        let weight = checkpoint.tensor(&name)?;
-        let weight = match columns.filter(|_| layer == 0) {
-            None => b.floats(&name, &weight.shape, &weight.data),
+    weights: Precision,
+}
+
+impl<'a> Network<'a> {
+    /// The network of `layers` layers whose tensors start with `prefix`.
+    pub fn new(
+        tensors: &'a BTreeMap<String, Tensor>,
+        prefix: &'a str,
+        layers: usize,
+        weights: Precision,
+    ) -> Self {
+        Self { tensors, prefix, layers, weights }
+    }
+
+    /// relu(x W^T + b) layer by layer, the last one linear. `columns` says where the first layer's columns come from;
+    /// absent: they are as stored.
+    pub fn run(&self, b: &mut Builder, x: &Value, columns: Option<&[Column]>) -> Result<Value> {
+        let first = self.first(b, x, columns, None)?;
+        self.rest(b, first)
+    }
+
+    /// The first layer without its ReLU; `partial` sums stand for the bias where they are given.
+    pub fn first(
+        &self,
+        b: &mut Builder,
+        x: &Value,
+        columns: Option<&[Column]>,
+        partial: Option<&Value>,
+    ) -> Result<Value> {
+        self.layer(b, 0, x, columns, partial)
+    }
+
+    /// Everything after the first layer's sums.
+    pub fn rest(&self, b: &mut Builder, sums: Value) -> Result<Value> {
+        let mut x = sums;
+        for layer in 1..self.layers {
+            x = b.node("Relu", &format!("layer{}.relu", layer - 1), &[&x], &[]);
+            x = self.layer(b, layer, &x, None, None)?;
+        }
+        Ok(x)
+    }
+
+    fn layer(
+        &self,
+        b: &mut Builder,
+        layer: usize,
+        x: &Value,
+        columns: Option<&[Column]>,
+        partial: Option<&Value>,
+    ) -> Result<Value> {
+        let name = weight_name(self.prefix, layer);
+        let weight = self.tensor(&name)?;
+        let weight = match columns {
+            None => self.constant(b, &name, &weight.shape, &weight.data),
+            // An amplitude other than 1 makes numbers that are no half floats.
             Some(columns) => {
                 let data: Vec<f32> = weight
                     .data
@@ -38,34 +86,54 @@ fn mlp(
                 b.floats(&format!("{name}.reordered"), &[weight.shape[0], columns.len()], &data)
             }
         };
-        let name = bias_name(prefix, layer);
-        let bias = checkpoint.tensor(&name)?;
-        let bias = b.floats(&name, &bias.shape, &bias.data);
-        x = b.node("Gemm", &format!("layer{layer}"), &[&x, &weight, &bias], &[("transB", 1)]);
-        if layer + 1 < layers {
-            x = b.node("Relu", &format!("layer{layer}.relu"), &[&x], &[]);
+        let bias = match partial {
+            Some(partial) => partial.clone(),
+            None => {
+                let name = bias_name(self.prefix, layer);
+                let bias = self.tensor(&name)?;
+                self.constant(b, &name, &bias.shape, &bias.data)
+            }
+        };
+        Ok(b.node("Gemm", &format!("layer{layer}"), &[x, &weight, &bias], &[("transB", 1)]))
+    }
+
+    fn constant(&self, b: &mut Builder, name: &str, shape: &[usize], data: &[f32]) -> Value {
+        match self.weights {
+            Precision::Half => {
+                let halfs = b.halfs(name, shape, data);
+                b.float_of(name, &halfs)
+            }
+            _ => b.floats(name, shape, data),
         }
     }
-    Ok(x)
+
+    fn tensor(&self, name: &str) -> Result<&'a Tensor> {
+        self.tensors.get(name).ok_or_else(|| Error::config(format!("tensor {name}"), "is missing"))
+    }
+}
+
+/// The decoder of a model whose answers do not depend on their neighbours.
+pub fn decoder(checkpoint: &Checkpoint, weights: Precision) -> Network<'_> {
+    let layers = checkpoint.header.architecture.decoder_widths().map_or(0, |w| w.len() - 1);
+    Network::new(&checkpoint.tensors, DECODER_MLP, layers, weights)
 }
 
 /// u' = u + 0.5 r wo.xy / max(wo.z, min_z), r = scale * MLP(texture(u), wo.xy).
 pub fn parallax(
     b: &mut Builder,
     checkpoint: &Checkpoint,
-    precision: Precision,
+    storage: Storage,
     offset: &OffsetConfig,
     u: &Value,
     wo: &Direction,
 ) -> Result<Value> {
     b.scope("parallax");
     let [height, width] = checkpoint.header.architecture.finest_size();
-    let values = &checkpoint.tensor(OFFSET_TEXTURE)?.data;
-    let shape = [height * width, offset.channels];
-    let table = Table::new(b, OFFSET_TEXTURE, shape, values, precision);
+    let table = Table::new(b, OFFSET_TEXTURE, checkpoint, &[OFFSET_TEXTURE.into()], storage.textures)?;
     let features = lookup(b, u, u, &table, &[LevelSize { height, width, base: 0 }]);
     let input = b.concat("input", &[&features, &wo.xy], 1);
-    let depth = mlp(b, checkpoint, OFFSET_MLP, offset.hidden.len() + 1, input, None)?;
+    let network = Network::new(&checkpoint.tensors, OFFSET_MLP, offset.hidden.len() + 1, storage.weights);
+    let depth = network.run(b, &input, None)?;
     let depth = b.scale("depth", &depth, 0.5 * offset.scale);
     let along = b.mul("along", &depth, &wo.xy);
     let z = wo.z(b, "wo");
@@ -78,6 +146,7 @@ pub fn parallax(
 pub fn decode(
     b: &mut Builder,
     checkpoint: &Checkpoint,
+    weights: Precision,
     parts: &[&Value],
     columns: &[Column],
     shape: Option<&Value>,
@@ -86,25 +155,16 @@ pub fn decode(
     let input = b.concat("input", parts, 1);
     match shape {
         Some(shape) => inception::decode(b, checkpoint, &input, columns, shape),
-        None => {
-            let layers = checkpoint.header.architecture.decoder_widths().map_or(0, |w| w.len() - 1);
-            mlp(b, checkpoint, DECODER_MLP, layers, input, Some(columns))
-        }
+        None => decoder(checkpoint, weights).run(b, &input, Some(columns)),
     }
 }
 
-/// Turns the decoder's outputs into RGB \[N, 3\], 0 below the horizon.
-pub fn rgb(
-    b: &mut Builder,
-    checkpoint: &Checkpoint,
-    outputs: Value,
-    wi: &Direction,
-    wo: &Direction,
-) -> Value {
+/// Turns the decoder's outputs into RGB \[N, 3\], 0 where light or view are not above the horizon.
+pub fn rgb(b: &mut Builder, checkpoint: &Checkpoint, outputs: Value, lit: &Value, seen: &Value) -> Value {
     b.scope("output");
     let config = &checkpoint.header.architecture.model.output;
     let (mut colour, mask) = if config.mask {
-        let (colour, mask) = b.split("parts", &outputs, 3, 3);
+        let (colour, mask) = b.split("parts", &outputs, 1, 3, 3);
         (colour, Some(mask))
     } else {
         (outputs, None)
@@ -126,10 +186,7 @@ pub fn rgb(
         colour = b.mul("masked", &colour, &mask);
     }
     let colour = b.at_least("clamped", &colour, 0.0);
-    let one = b.scalar(1.0);
-    let lit = b.node("Less", "wi.above", &[&wi.square, &one], &[]);
-    let seen = b.node("Less", "wo.above", &[&wo.square, &one], &[]);
-    let above = b.node("And", "above_horizon", &[&lit, &seen], &[]);
+    let above = b.node("And", "above_horizon", &[lit, seen], &[]);
     let zero = b.scalar(0.0);
     b.node("Where", "shown", &[&above, &colour, &zero], &[])
 }

@@ -4,6 +4,8 @@ use prost::{Message, Oneof};
 
 /// `TensorProto.DataType` of 32-bit floats.
 pub const FLOAT: i32 = 1;
+/// `TensorProto.DataType` of 8-bit integers.
+pub const INT8: i32 = 3;
 /// `TensorProto.DataType` of 32-bit integers.
 pub const INT32: i32 = 6;
 /// `TensorProto.DataType` of 64-bit integers.

@@ -26,6 +26,12 @@ impl Direction {
         b.node("Sqrt", &format!("{name}.z"), &[&square], &[])
     }
 
+    /// Whether the direction is above the horizon, \[N, 1\].
+    pub fn above(&self, b: &mut Builder, name: &str) -> Value {
+        let one = b.scalar(1.0);
+        b.node("Less", &format!("{name}.above"), &[&self.square, &one], &[])
+    }
+
     /// (x, y, z), \[N, 3\].
     pub fn with_z(&self, b: &mut Builder, name: &str) -> Value {
         let z = self.z(b, name);

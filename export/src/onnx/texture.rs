@@ -1,35 +1,59 @@
 //! Wrapped bilinear and trilinear texture lookup by arithmetic and one Gather (GridSample cannot wrap).
 
 use super::builder::{Builder, Value};
+use crate::checkpoint::Checkpoint;
 use crate::config::LevelSize;
-use crate::precision::Precision;
+use crate::error::Result;
+use crate::precision::{Precision, byte_factors, bytes_of};
 
 /// Texels \[texels, C\] of all levels of a texture, row by row as in [`LevelSize::base`].
 pub struct Table {
     values: Value,
-    precision: Precision,
+    /// Values are cast to 32-bit floats after they are gathered: the table stays small in an engine that keeps it as it is.
+    cast: bool,
+    /// Factors of the channels, where values are bytes.
+    factors: Option<Value>,
 }
 
 impl Table {
-    /// Stores a table as the constant `name`.
-    pub fn new(b: &mut Builder, name: &str, shape: [usize; 2], data: &[f32], precision: Precision) -> Self {
-        let values = match precision {
-            Precision::Single => b.floats(name, &shape, data),
-            Precision::Half => b.halfs(name, &shape, data),
-        };
-        Self { values, precision }
+    /// Stores the texture of a checkpoint whose `levels` are given, finest first, as the constant `name`.
+    ///
+    /// # Errors
+    /// `Config`, naming the tensor that is missing or not rounded.
+    pub fn new(
+        b: &mut Builder,
+        name: &str,
+        checkpoint: &Checkpoint,
+        levels: &[String],
+        precision: Precision,
+    ) -> Result<Self> {
+        let mut texels = Vec::new();
+        let mut channels = 1;
+        for level in levels {
+            let tensor = checkpoint.tensor(level)?;
+            channels = tensor.shape[2];
+            texels.extend_from_slice(&tensor.data);
+        }
+        let shape = [texels.len() / channels, channels];
+        Ok(match precision {
+            Precision::Single => Self { values: b.floats(name, &shape, &texels), cast: false, factors: None },
+            Precision::Half => Self { values: b.halfs(name, &shape, &texels), cast: true, factors: None },
+            Precision::Byte => {
+                let factors = byte_factors(checkpoint, levels)?;
+                let values = b.bytes(name, &shape, bytes_of(&texels, &factors));
+                let factors = b.floats(&format!("{name}.factors"), &[channels], &factors);
+                Self { values, cast: true, factors: Some(factors) }
+            }
+        })
     }
 
-    /// The texels of these rows as 32-bit floats. Halfs are cast after they are gathered: the table stays small in an
-    /// engine that keeps it as it is.
+    /// The texels of these rows as 32-bit floats, before the factors.
     fn gather(&self, b: &mut Builder, rows: &Value) -> Value {
-        match self.precision {
-            Precision::Single => b.gather("values", &self.values, rows),
-            Precision::Half => {
-                let halfs = b.gather("values.half", &self.values, rows);
-                b.float_of("values", &halfs)
-            }
+        if !self.cast {
+            return b.gather("values", &self.values, rows);
         }
+        let stored = b.gather("values.stored", &self.values, rows);
+        b.float_of("values", &stored)
     }
 }
 
@@ -66,7 +90,7 @@ pub fn lookup(b: &mut Builder, u: &Value, level: &Value, table: &Table, sizes: &
         },
         _ => two_levels(b, level, sizes),
     };
-    let (column, row) = b.split("u", u, 1, 1);
+    let (column, row) = b.split("u", u, 1, 1, 1);
     let x = axis(b, "x", &column, &levels.width);
     let y = axis(b, "y", &row, &levels.height);
 
@@ -88,8 +112,11 @@ pub fn lookup(b: &mut Builder, u: &Value, level: &Value, table: &Table, sizes: &
     let values = table.gather(b, &texels);
     let weights = b.unsqueeze("weights.row", &weights, &[1]);
     let sum = b.node("MatMul", "sum", &[&weights, &values], &[]);
-    let axes = b.axes(&[1]);
-    b.node("Squeeze", "features", &[&sum, &axes], &[])
+    let features = b.squeeze("features", &sum, &[1]);
+    match &table.factors {
+        None => features,
+        Some(factors) => b.mul("features.scaled", &features, factors),
+    }
 }
 
 /// The two levels around `level`.

@@ -1,7 +1,7 @@
 //! A bundle is complete, verifies itself, and replaces nothing by accident.
 
 use crate::{materials, plain};
-use neumip_export::{Checkpoint, Golden, read_bundle, write_bundle};
+use neumip_export::{Checkpoint, Contents, Golden, read_bundle};
 use std::path::Path;
 
 /// A case's checkpoint, with golden answers by plain loops.
@@ -31,18 +31,22 @@ fn a_bundle_is_complete_and_reads_back() {
     let folder = tempfile::tempdir().unwrap();
     let (_, checkpoint, golden) = material(1);
     let out = folder.path().join("bundle");
-    let files = write_bundle(&checkpoint, &golden, &out, false).unwrap();
+    let files = Contents::new(&checkpoint, &golden).write(&out, false).unwrap();
     let expected = [
         "README.txt",
         "decoder.onnx",
+        "evaluate.onnx",
         "golden.json",
         "material.json",
         "material.onnx",
         "model.safetensors",
         "offset-0.exr",
         "offset-1.exr",
+        "prepare.onnx",
         "texture-0.exr",
         "texture-1.exr",
+        "weights-f16.bin",
+        "weights-f32.bin",
     ];
     assert_eq!(names(&out), expected);
     assert_eq!(files.len(), expected.len());
@@ -51,7 +55,11 @@ fn a_bundle_is_complete_and_reads_back() {
     assert_eq!((&bundle.checkpoint, &bundle.golden), (&checkpoint, &golden));
     assert_eq!(bundle.sidecar.errors, checkpoint.header.errors);
     let again = folder.path().join("again");
-    assert_eq!(write_bundle(&checkpoint, &golden, &again, false).unwrap(), files, "not the same bytes");
+    assert_eq!(
+        Contents::new(&checkpoint, &golden).write(&again, false).unwrap(),
+        files,
+        "not the same bytes"
+    );
 }
 
 #[test]
@@ -59,7 +67,7 @@ fn missing_altered_and_foreign_files_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let (_, checkpoint, golden) = material(6);
     let out = folder.path().join("bundle");
-    for entry in write_bundle(&checkpoint, &golden, &out, false).unwrap() {
+    for entry in Contents::new(&checkpoint, &golden).write(&out, false).unwrap() {
         let path = out.join(&entry.name);
         let bytes = std::fs::read(&path).unwrap();
         let check = |what: &str| {
@@ -103,25 +111,25 @@ fn nothing_is_replaced_by_accident() {
     let folder = tempfile::tempdir().unwrap();
     let (_, checkpoint, golden) = material(6);
     let out = folder.path().join("bundle");
-    write_bundle(&checkpoint, &golden, &out, false).unwrap();
-    let error = write_bundle(&checkpoint, &golden, &out, false).unwrap_err().to_string();
+    Contents::new(&checkpoint, &golden).write(&out, false).unwrap();
+    let error = Contents::new(&checkpoint, &golden).write(&out, false).unwrap_err().to_string();
     assert!(error.contains("bundle: exists"), "{error}");
 
     let mut other = checkpoint.clone();
     other.header.material = "other".into();
-    write_bundle(&other, &golden, &out, true).unwrap();
+    Contents::new(&other, &golden).write(&out, true).unwrap();
     assert_eq!(read_bundle(&out).unwrap().sidecar.material, "other");
 
     let mut bad = checkpoint.clone();
     bad.tensors.get_mut("texture.level0").unwrap().data[0] = 1e6;
-    let error = write_bundle(&bad, &golden, &out, true).unwrap_err().to_string();
+    let error = Contents::new(&bad, &golden).write(&out, true).unwrap_err().to_string();
     assert!(error.contains("texture.level0"), "{error}");
     assert_eq!(read_bundle(&out).unwrap().sidecar.material, "other", "a failed write lost the old bundle");
 
     let precious = folder.path().join("precious");
     std::fs::create_dir(&precious).unwrap();
     std::fs::write(precious.join("thesis.txt"), "years").unwrap();
-    assert!(write_bundle(&checkpoint, &golden, &precious, true).is_err());
+    assert!(Contents::new(&checkpoint, &golden).write(&precious, true).is_err());
     assert_eq!(names(&precious), ["thesis.txt"]);
     assert_eq!(names(folder.path()), ["bundle", "precious"], "something stays behind");
 }
@@ -153,7 +161,8 @@ fn write_every_case() {
     let Ok(folder) = std::env::var("NEUMIP_BUNDLES") else { return };
     for case in 0..materials::cases().len() {
         let (name, checkpoint, golden) = material(case);
-        write_bundle(&checkpoint, &golden, &Path::new(&folder).join(name.replace([' ', ','], "-")), true)
+        Contents::new(&checkpoint, &golden)
+            .write(&Path::new(&folder).join(name.replace([' ', ','], "-")), true)
             .unwrap();
     }
 }

@@ -93,9 +93,11 @@ fn graphs_answer_like_plain_loops() {
 
         let mut with_features = vec![("features", vec![QUERIES, model.texture.channels], features)];
         with_features.extend(feeds(&queries));
-        let answers = run(onnx::decoder_graph(&checkpoint).unwrap(), &with_features);
+        let answers =
+            run(onnx::decoder_graph(&checkpoint, onnx::Options::default()).unwrap(), &with_features);
         let of_decoder = largest_difference(&answers, &decoder);
-        let answers = run(onnx::material_graph(&checkpoint).unwrap(), &feeds(&queries));
+        let answers =
+            run(onnx::material_graph(&checkpoint, onnx::Options::default()).unwrap(), &feeds(&queries));
         let of_material = largest_difference(&answers, &material);
         println!("{name}: decoder {of_decoder:.1e}, material {of_material:.1e}");
         assert!(of_decoder < TOLERANCE && of_material < TOLERANCE, "{name}: {of_decoder:e} {of_material:e}");
@@ -112,9 +114,11 @@ fn graphs_of_images_answer_like_plain_loops_and_every_tensor_of_them_matters() {
             let with_channels = [&images[..], &[model.texture.channels]].concat();
             let mut with_features = vec![("features", with_channels, features)];
             with_features.extend(feeds(&queries));
-            let answers = run(onnx::decoder_graph(&checkpoint).unwrap(), &with_features);
+            let answers =
+                run(onnx::decoder_graph(&checkpoint, onnx::Options::default()).unwrap(), &with_features);
             let of_decoder = largest_difference(&answers, &decoder);
-            let answers = run(onnx::material_graph(&checkpoint).unwrap(), &feeds(&queries));
+            let answers =
+                run(onnx::material_graph(&checkpoint, onnx::Options::default()).unwrap(), &feeds(&queries));
             let of_material = largest_difference(&answers, &material);
             println!("{name} {images:?}: decoder {of_decoder:.1e}, material {of_material:.1e}");
             assert!(of_decoder < TOLERANCE && of_material < TOLERANCE, "{name} {images:?}: {of_material:e}");
@@ -138,7 +142,8 @@ fn every_tensor_matters() {
     for (name, model, resolution) in materials::cases() {
         let checkpoint = materials::checkpoint(&model, resolution, 1);
         let queries = materials::queries(&checkpoint.header.architecture, QUERIES / 4, 2);
-        let answers = run(onnx::material_graph(&checkpoint).unwrap(), &feeds(&queries));
+        let answers =
+            run(onnx::material_graph(&checkpoint, onnx::Options::default()).unwrap(), &feeds(&queries));
         for tensor in checkpoint.tensors.keys() {
             let mut perturbed = checkpoint.clone();
             let data = &mut perturbed.tensors.get_mut(tensor).unwrap().data;
@@ -159,7 +164,8 @@ fn one_perturbed_weight_exceeds_the_tolerance() {
         // The largest: the first may be of a neuron that hardly fires.
         let data = &mut perturbed.tensors.get_mut(&first).unwrap().data;
         *data.iter_mut().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap() *= 1.01;
-        let answers = run(onnx::material_graph(&perturbed).unwrap(), &feeds(&queries));
+        let answers =
+            run(onnx::material_graph(&perturbed, onnx::Options::default()).unwrap(), &feeds(&queries));
         let (_, _, material) = expected(&checkpoint, &queries);
         assert!(largest_difference(&answers, &material) > TOLERANCE, "{name}");
     }
@@ -169,7 +175,7 @@ fn one_perturbed_weight_exceeds_the_tolerance() {
 fn one_query_and_every_batch_size_work() {
     let (_, model, resolution) = materials::cases().remove(1);
     let checkpoint = materials::checkpoint(&model, resolution, 1);
-    let graph = onnx::material_graph(&checkpoint).unwrap();
+    let graph = onnx::material_graph(&checkpoint, onnx::Options::default()).unwrap();
     let all = materials::queries(&checkpoint.header.architecture, 40, 3);
     let answers = run(graph.clone(), &feeds(&all));
     for i in [3, 17] {
@@ -191,6 +197,12 @@ fn one_query_and_every_batch_size_work() {
 fn same_checkpoint_same_graph() {
     let (_, model, resolution) = materials::cases().remove(3);
     let checkpoint = materials::checkpoint(&model, resolution, 1);
-    assert_eq!(onnx::material_graph(&checkpoint).unwrap(), onnx::material_graph(&checkpoint).unwrap());
-    assert_eq!(onnx::decoder_graph(&checkpoint).unwrap(), onnx::decoder_graph(&checkpoint).unwrap());
+    assert_eq!(
+        onnx::material_graph(&checkpoint, onnx::Options::default()).unwrap(),
+        onnx::material_graph(&checkpoint, onnx::Options::default()).unwrap()
+    );
+    assert_eq!(
+        onnx::decoder_graph(&checkpoint, onnx::Options::default()).unwrap(),
+        onnx::decoder_graph(&checkpoint, onnx::Options::default()).unwrap()
+    );
 }
