@@ -83,6 +83,7 @@ fn bindings(
         Storage::Constants => "uniform block",
         Storage::Buffer => "read-only buffer",
         Storage::Texture => "texture of 32-bit floats",
+        Storage::Source => return text + "The weights are in the source.",
     };
     text += &format!("neumip_weights: {place}, the {bytes} bytes of {SINGLE} as {vectors} vectors");
     text += &match w.storage {
