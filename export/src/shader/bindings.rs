@@ -75,6 +75,12 @@ fn glsl(w: &mut Writer, textures: &[Texture], vectors: usize) {
         w.line(format!("#define NEUMIP_{name}_BINDING {number}"));
     }
     w.line("#endif");
+    if w.is_exact() {
+        w.comment("Define it as nothing for a compiler that does not know the word.");
+        w.line("#ifndef NEUMIP_PRECISE");
+        w.line("#define NEUMIP_PRECISE precise");
+        w.line("#endif");
+    }
     w.comment("Define it where textures and samplers are bound apart.");
     w.line("#ifdef NEUMIP_SEPARATE_SAMPLER");
     w.line("layout(binding = NEUMIP_SAMPLER_BINDING) uniform sampler neumip_sampler;");

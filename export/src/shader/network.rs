@@ -1,7 +1,7 @@
 //! Fully connected layers on values that stay in registers: a function a layer gives four outputs at a time, as dot products
 //! of the weight's rows with vectors of four inputs.
 
-use super::writer::{Type, Type::Half, Type::Int, Writer, letter};
+use super::writer::{Type, Type::Float, Type::Half, Type::Int, Writer, letter};
 use crate::config::{DECODER_MLP, OFFSET_MLP};
 use crate::weights::Layer;
 
@@ -117,15 +117,13 @@ impl<'a> Part<'a> {
         for (k, register) in self.registers.iter().enumerate() {
             let (these, after) = rest.split_at(register.lanes.len().min(rest.len()));
             rest = after;
-            let of = Half(these.len());
             let joined = joined(these);
             let value = match joined.as_slice() {
-                [one] => w.half(these.len(), one),
-                parts => {
-                    let parts = parts.join(", ");
-                    w.make(of, &parts)
-                }
+                [one] => one.clone(),
+                parts => w.make(Float(these.len()), &parts.join(", ")),
             };
+            let of = Half(these.len());
+            let value = w.half(these.len(), &value);
             let name = format!("{prefix}{k}");
             w.declare(of, &name, &value);
             names.push(name);

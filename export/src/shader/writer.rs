@@ -126,7 +126,10 @@ impl<'a> Writer<'a> {
     /// language has a word for that.
     pub fn declare_precise(&mut self, of: Type, name: &str, value: &str) {
         match (self.language, self.mode) {
-            (Language::Glsl | Language::Hlsl, Mode::Exact) => {
+            (Language::Glsl, Mode::Exact) => {
+                self.line(format!("NEUMIP_PRECISE {} {name} = {value};", self.name(of)));
+            }
+            (Language::Hlsl, Mode::Exact) => {
                 self.line(format!("precise {} {name} = {value};", self.name(of)));
             }
             _ => self.declare(of, name, value),
