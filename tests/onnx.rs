@@ -385,6 +385,7 @@ fn the_default_bundle_is_what_it_was() {
         "graphs",
         "textures",
         "weights",
+        "shaders",
         "architecture",
         "files",
     ];

@@ -7,6 +7,7 @@ use crate::onnx::{self, Opset, Port};
 use crate::precision::{Rounding, Storage};
 use crate::readme;
 use crate::sampler::Sampler;
+use crate::shader;
 use crate::sidecar::{GraphFile, GraphPort, Sidecar};
 use crate::textures::texture_files;
 use crate::weights::{self, Layout};
@@ -135,6 +136,9 @@ impl<'a> Contents<'a> {
             let block = layout.fill(self.checkpoint, sampler)?;
             add(weights::SINGLE, &weights::single_bytes(&block))?;
             add(weights::HALF, &weights::half_bytes(&block))?;
+            for (name, text) in shader::files(self.checkpoint, sampler)? {
+                add(name, text.as_bytes())?;
+            }
         }
         if let Some((sampler, golden)) = self.sampler {
             add(SAMPLER, &sampler.to_bytes()?)?;

@@ -18,6 +18,7 @@ pub mod onnx;
 pub mod precision;
 mod readme;
 pub mod sampler;
+pub mod shader;
 pub mod sidecar;
 pub mod tensors;
 pub mod textures;

@@ -92,6 +92,10 @@ fn files(page: &mut String, sidecar: &Sidecar) {
         let both = format!("{}, {}", weights::SINGLE, weights::HALF);
         list.push((both, format!("the networks row by row, padded to {}", weights::PAD)));
     }
+    if !sidecar.shaders.is_empty() {
+        let what = "source for shaders: GLSL ES 3.00, GLSL 4.50, WGSL, HLSL; exact, and fast: half floats, hardware filtering";
+        list.push(("exact.*, fast.*".into(), what.into()));
+    }
     list.push((MODEL.into(), "all weights and textures as 32-bit floats".into()));
     list.push((SIDECAR.into(), "conventions, interfaces, costs, errors, checksums, steps".into()));
     list.push((

@@ -10,6 +10,7 @@ use crate::error::{Error, Result};
 use crate::onnx::{Opset, Port};
 use crate::precision::{Precision, Rounding, Storage};
 use crate::sampler::{CENTRES, Frame, LOG_SCALES, LOGITS, SHEARS, SamplerConfig};
+use crate::shader::{Language, Mode, file_name};
 use crate::textures::TextureFile;
 use crate::weights::{self, Layout};
 use serde::{Deserialize, Serialize};
@@ -57,6 +58,9 @@ pub struct Sidecar {
     /// The networks' weights without a container; absent where the decoder is convolutional.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weights: Option<WeightFiles>,
+    /// Functions for a renderer's own shaders; none where the decoder is convolutional.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub shaders: Vec<ShaderFile>,
     /// Importance sampling of wi; absent: sample the cosine.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sampler: Option<SamplerFiles>,
@@ -92,6 +96,18 @@ pub struct WeightFiles {
     pub order: String,
     /// Where everything is.
     pub layout: Layout,
+}
+
+/// Shader source ([`crate::shader`]); its head says what to bind.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ShaderFile {
+    /// File name.
+    pub file: String,
+    /// The language.
+    pub language: Language,
+    /// What it is made for.
+    pub mode: Mode,
 }
 
 /// The files of the importance sampler ([`crate::sampler`]).
@@ -186,6 +202,7 @@ impl Sidecar {
             evaluate: steps(architecture),
             graphs,
             textures,
+            shaders: if weights.is_some() { shaders() } else { Vec::new() },
             weights,
             sampler: sampler.map(|header| SamplerFiles {
                 file: SAMPLER.into(),
@@ -241,13 +258,22 @@ impl Sidecar {
         let weights = sidecar.weights.iter().flat_map(|w| [&w.single, &w.half]);
         let sampler = sidecar.sampler.iter().flat_map(|s| [&s.file, &s.golden]);
         let textures = sidecar.textures.iter().map(|t| &t.file);
-        for name in graphs.chain(textures).chain(weights).chain(sampler) {
+        let shaders = sidecar.shaders.iter().map(|s| &s.file);
+        for name in graphs.chain(textures).chain(weights).chain(shaders).chain(sampler) {
             if !names.contains(name.as_str()) {
                 return Err(Error::config("files", format!("{name:?} is described and not listed")));
             }
         }
         Ok(sidecar)
     }
+}
+
+/// All sources of a bundle.
+fn shaders() -> Vec<ShaderFile> {
+    let modes = |language| {
+        Mode::ALL.map(|mode| ShaderFile { file: file_name(language, mode).into(), language, mode })
+    };
+    Language::ALL.into_iter().flat_map(modes).collect()
 }
 
 /// The conventions of the project, for a reader who has nothing else.

@@ -6,5 +6,6 @@ mod graphs;
 mod materials;
 mod plain;
 mod precision;
+mod shaders;
 mod steps;
 mod textures;
