@@ -407,7 +407,7 @@ fn sampler_steps(config: &SamplerConfig) -> Vec<String> {
             crate::sampler::OUTPUTS_PER_LOBE
         ),
         format!(
-            "Lobes: L = [[e^p, 0], [r e^p, e^q]]; m = -wo.xy / max(wo.z, {}), g = sqrt(1 + |m|^2), T = g (I + m m^T / (1 + g)); \
+            "Lobes: L = [[e^p, 0], [r e^p, e^q]]; m = -wo.xy / max(wo.z, {}), T = I + m m^T; \
              {}. Before them comes the cosine: A = I, b = 0.",
             config.min_z,
             frames.join("; ")
@@ -417,8 +417,8 @@ fn sampler_steps(config: &SamplerConfig) -> Vec<String> {
             1.0 - config.cosine_floor,
             config.cosine_floor
         ),
-        "Sample: choose a lobe by xi.x and rescale, x = (xi.x - weights before it) / its weight; t = sqrt(x / (1 - x)) \
-         (cos(2 pi xi.y), sin(2 pi xi.y)); s = A t + b; wi = normalize(s.x, s.y, 1)."
+        "Sample: xi.x chooses a lobe, rest = xi.x less the weights before it, and the angle phi = 2 pi min(rest / weight, 1); \
+         t = sqrt(xi.y / (1 - xi.y)) (cos phi, sin phi), xi.y at most 1 - 2^-24; s = A t + b; wi = normalize(s.x, s.y, 1)."
             .into(),
         "Density: the sum over lobes of weight z / (pi |det A| (z^2 + |v|^2)^2), v = A^-1 (wi.xy - b z), z = wi.z; 0 on and \
          below the horizon."

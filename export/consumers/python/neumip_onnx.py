@@ -67,8 +67,8 @@ class Bundle:
         """Light directions by importance: xi [N, 2] in [0, 1) -> wi [N, 3] unit vectors, pdf [N] over solid angle."""
         if "lobes" in prepared:
             return self.run("sample", ["wi", "pdf"], lobes=prepared["lobes"], xi=xi)
-        radius, angle = np.sqrt(xi[:, 0]), 2 * np.pi * xi[:, 1]
-        wi = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - xi[:, 0])], 1)
+        angle, radius = 2 * np.pi * xi[:, 0], np.sqrt(xi[:, 1])
+        wi = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - xi[:, 1])], 1)
         return wi, wi[:, 2] / np.pi
 
     def pdf(self, prepared, wi):

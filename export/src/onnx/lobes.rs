@@ -50,6 +50,7 @@ pub fn sample_graph(sampler: &Sampler, opset: Opset) -> Result<Vec<u8>> {
     b.scope("choice");
     let [first, second] = <[Value; 2]>::try_from(b.columns("xi", &xi, 2)).unwrap_or_else(|_| unreachable!());
     let first = b.clip("xi.first", &first, 0.0, BELOW_ONE);
+    let second = b.clip("xi.second", &second, 0.0, BELOW_ONE);
     let weights = b.split("lobes.parts", &lobes, 2, 1, LOBE_COLUMNS - 1).0;
     let weights = b.squeeze("weights", &weights, &[2]);
     let upto: Vec<f32> = (0..count * count).map(|i| f32::from(i / count <= i % count)).collect();
@@ -78,9 +79,9 @@ pub fn sample_graph(sampler: &Sampler, opset: Opset) -> Result<Vec<u8>> {
     let weight = b.mul("weight.of", &chosen, &weights);
     let weight = b.row_sum("weight", &weight);
     let weight = b.at_least("weight.positive", &weight, f32::MIN_POSITIVE);
-    let past = b.sub("past", &first, &start);
-    let radius2 = b.node("Div", "rescaled", &[&past, &weight], &[]);
-    let radius2 = b.clip("radius2", &radius2, 0.0, BELOW_ONE);
+    let rest = b.sub("rest", &first, &start);
+    let turn = b.node("Div", "turn", &[&rest, &weight], &[]);
+    let turn = b.clip("turn.clipped", &turn, 0.0, 1.0);
     let chosen = b.unsqueeze("chosen.row", &chosen, &[1]);
     let lobe = b.node("MatMul", "lobe.row", &[&chosen, &lobes], &[]);
     let lobe = b.squeeze("lobe", &lobe, &[1]);
@@ -88,10 +89,10 @@ pub fn sample_graph(sampler: &Sampler, opset: Opset) -> Result<Vec<u8>> {
     let [_, bx, by, a00, a01, a10, a11] = columns.as_slice() else { unreachable!("seven columns") };
 
     b.scope("direction");
-    let rest = b.one_minus("rest", &radius2);
-    let slope2 = b.node("Div", "slope.squared", &[&radius2, &rest], &[]);
+    let below = b.one_minus("xi.below_one", &second);
+    let slope2 = b.node("Div", "slope.squared", &[&second, &below], &[]);
     let slope = b.node("Sqrt", "slope", &[&slope2], &[]);
-    let angle = b.scale("angle", &second, 2.0 * PI);
+    let angle = b.scale("angle", &turn, 2.0 * PI);
     let (cos, sin) = (b.node("Cos", "cos", &[&angle], &[]), b.node("Sin", "sin", &[&angle], &[]));
     let (tx, ty) = (b.mul("t.x", &slope, &cos), b.mul("t.y", &slope, &sin));
     let mut moved = |name: &str, row: [&Value; 2], centre: &Value| {
@@ -186,7 +187,7 @@ pub(super) fn lobes(b: &mut Builder, sampler: &Sampler, features: &Value, wo: &D
     Ok(b.concat("lobes", &rows.iter().collect::<Vec<_>>(), 1))
 }
 
-/// The frame of mirror lobes: the mirror slope m and T = g (I + m m^T / (1 + g)), g = sqrt(1 + |m|^2).
+/// The frame of mirror lobes: the mirror slope m and T = I + m m^T.
 struct Mirror {
     m: [Value; 2],
     t00: Value,
@@ -201,16 +202,9 @@ impl Mirror {
         let slope = b.node("Div", "wo.slope", &[&wo.xy, &z], &[]);
         let slope = b.node("Neg", "mirror.slope", &[&slope], &[]);
         let [x, y] = <[Value; 2]>::try_from(b.columns("m", &slope, 2)).unwrap_or_else(|_| unreachable!());
-        let (xx, xy, yy) = (b.mul("m.xx", &x, &x), b.mul("m.xy", &x, &y), b.mul("m.yy", &y, &y));
+        let (xx, t01, yy) = (b.mul("m.xx", &x, &x), b.mul("t.01", &x, &y), b.mul("m.yy", &y, &y));
         let one = b.scalar(1.0);
-        let square = b.add("m.squared", &xx, &yy);
-        let square = b.add("g.squared", &square, &one);
-        let g = b.node("Sqrt", "g", &[&square], &[]);
-        let below = b.add("g.plus_one", &g, &one);
-        let share = b.node("Div", "g.share", &[&g, &below], &[]);
-        let mut stretched = |name: &str, part: &Value| b.mul(name, &share, part);
-        let (xx, t01, yy) = (stretched("t.xx", &xx), stretched("t.01", &xy), stretched("t.yy", &yy));
-        Self { m: [x, y], t00: b.add("t.00", &g, &xx), t01, t11: b.add("t.11", &g, &yy) }
+        Self { m: [x, y], t00: b.add("t.00", &xx, &one), t01, t11: b.add("t.11", &yy, &one) }
     }
 
     /// Centre and matrix in this frame: m + T c, T L with L = \[\[l00, 0\], \[l10, l11\]\].

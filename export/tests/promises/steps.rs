@@ -62,7 +62,7 @@ fn sampler(features: usize, seed: u64) -> Sampler {
         hidden: vec![16, 8],
         lobes: vec![Frame::Surface, Frame::Mirror, Frame::Mirror],
         cosine_floor: 0.1,
-        min_z: 0.1,
+        min_z: 0.2,
     };
     let mut numbers = Numbers::new(seed);
     let mut tensor = |name: &str, shape: Vec<usize>| {
@@ -139,13 +139,12 @@ fn lobes(sampler: &Sampler, features: &[f64], wo: [f32; 2]) -> Vec<Lobe> {
     }
     let z = f64::from((1.0 - (wo[0] * wo[0] + wo[1] * wo[1])).max(0.0).sqrt()).max(f64::from(config.min_z));
     let m = wo.map(|w| -f64::from(w) / z);
-    let g = (1.0 + m[0] * m[0] + m[1] * m[1]).sqrt();
-    let t = |i: usize, j: usize| g * (f64::from(u8::from(i == j)) + m[i] * m[j] / (1.0 + g));
+    let t = |i: usize, j: usize| f64::from(u8::from(i == j)) + m[i] * m[j];
     let mut lobes = vec![Lobe { weight: 1.0, centre: [0.0; 2], matrix: [[1.0, 0.0], [0.0, 1.0]] }];
     for (frame, raw) in config.lobes.iter().zip(x.chunks(OUTPUTS_PER_LOBE)) {
         let c = [raw[1].clamp(-8.0, 8.0), raw[2].clamp(-8.0, 8.0)];
         let (p, r, q) =
-            (raw[3].clamp(-6.0, 2.0).exp(), raw[4].clamp(-4.0, 4.0), raw[5].clamp(-6.0, 2.0).exp());
+            (raw[3].clamp(-5.0, 2.0).exp(), raw[4].clamp(-4.0, 4.0), raw[5].clamp(-5.0, 2.0).exp());
         let l = [[p, 0.0], [r * p, q]];
         let weight = raw[0].clamp(-20.0, 20.0).exp();
         lobes.push(match frame {
@@ -188,8 +187,9 @@ fn sample(lobes: &[Lobe], xi: [f32; 2]) -> [f64; 3] {
         start += if k + 1 < lobes.len() { lobe.weight } else { 0.0 };
     }
     let lobe = &lobes[chosen];
-    first = ((first - start) / lobe.weight).clamp(0.0, 1.0 - 1e-9);
-    let (slope, angle) = ((first / (1.0 - first)).sqrt(), 2.0 * PI * f64::from(xi[1]));
+    first = ((first - start) / lobe.weight).clamp(0.0, 1.0);
+    let second = f64::from(xi[1]);
+    let (slope, angle) = ((second / (1.0 - second)).sqrt(), 2.0 * PI * first);
     let t = [slope * angle.cos(), slope * angle.sin()];
     let s = [0, 1].map(|i| lobe.matrix[i][0] * t[0] + lobe.matrix[i][1] * t[1] + lobe.centre[i]);
     let length = (1.0 + s[0] * s[0] + s[1] * s[1]).sqrt();
@@ -218,8 +218,8 @@ fn case(index: usize) -> Case {
     let mut queries = materials::queries(&checkpoint.header.architecture, QUERIES, 2);
     let mut numbers = Numbers::new(17);
     queries.wo.fill_with(|| numbers.direction(0.0, 0.999));
-    // Away from the borders between lobes, where a rounding chooses another one, and from 1, where a slope is infinite.
-    let xi = (0..QUERIES).map(|_| [numbers.between(0.001, 0.999), numbers.uniform()]).collect();
+    // Away from 1, where a slope is infinite.
+    let xi = (0..QUERIES).map(|_| [numbers.uniform(), numbers.between(0.001, 0.999)]).collect();
     let graph = onnx::prepare_graph(&checkpoint, Some(&sampler), Options::default()).unwrap();
     let graph = run(graph, &prepared_feeds(&queries), &["lobes"]).remove(0);
     let text = (0..QUERIES)
