@@ -53,6 +53,7 @@ const FLOW: [(&str, &[&str]); 26] = [
     ("results", &["export"]),
     ("chart", &["results", "report"]),
     ("report", &["query", "metrics", "srgb"]),
+    ("view", &["query", "report", "export"]),
     (
         "reproduce",
         &[
@@ -85,6 +86,7 @@ const EVERYTHING: &[&str] = &[
     "results",
     "reproduce",
     "chart",
+    "view",
     "export",
 ];
 /// What every module may import but those of [`BARE`].
