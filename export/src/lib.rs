@@ -16,6 +16,7 @@ pub mod golden;
 pub mod onnx;
 pub mod precision;
 pub mod sampler;
+pub mod shader;
 pub mod sidecar;
 pub mod tensors;
 pub mod textures;

@@ -1,0 +1,233 @@
+//! One program, spelled in four languages: declarations, constructors, structs and functions by method; arithmetic, swizzles
+//! and the functions whose names agree are written as they are.
+
+use super::bindings::{Storage, WEIGHTS_WIDTH};
+use super::{Language, Mode};
+
+/// Types of values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Type {
+    /// 32-bit numbers: a scalar or 2 to 4 components.
+    Float(usize),
+    /// What the networks compute with: 32-bit numbers, or fewer bits in the fast mode.
+    Half(usize),
+    /// Integers.
+    Int(usize),
+    /// Of ours.
+    Struct(&'static str),
+}
+
+use Type::{Float, Half, Int, Struct};
+
+/// The text so far.
+pub struct Writer {
+    pub language: Language,
+    pub mode: Mode,
+    pub storage: Storage,
+    text: String,
+    depth: usize,
+}
+
+impl Writer {
+    pub fn new(language: Language, mode: Mode, storage: Storage) -> Self {
+        Self { language, mode, storage, text: String::new(), depth: 0 }
+    }
+
+    pub fn finish(self) -> String {
+        self.text
+    }
+
+    /// A line of code, or an empty one.
+    pub fn line(&mut self, line: impl AsRef<str>) {
+        let line = line.as_ref();
+        if !line.is_empty() {
+            self.text.extend(std::iter::repeat_n("    ", self.depth));
+            self.text += line;
+        }
+        self.text.push('\n');
+    }
+
+    /// Comments, a line each.
+    pub fn comment(&mut self, text: impl AsRef<str>) {
+        for line in text.as_ref().lines() {
+            self.line(format!("// {line}").trim_end());
+        }
+    }
+
+    pub fn is_exact(&self) -> bool {
+        self.mode == Mode::Exact
+    }
+
+    /// How a type is called.
+    pub fn name(&self, of: Type) -> String {
+        let half = |n: usize, scalar: &str, vector: &str| {
+            if n == 1 { scalar.into() } else { format!("{vector}{n}") }
+        };
+        match (of, self.language) {
+            (Struct(name), _) => name.into(),
+            (Half(n), _) if self.is_exact() => self.name(Float(n)),
+            (Half(n), Language::GlslEs) => half(n, "mediump float", "mediump vec"),
+            (Half(n), Language::Glsl) => self.name(Float(n)),
+            (Half(n), Language::Wgsl | Language::Hlsl) => half(n, "NeumipHalf", "NeumipHalf"),
+            (Float(1), Language::Wgsl) => "f32".into(),
+            (Int(1), Language::Wgsl) => "i32".into(),
+            (Float(1), _) => "float".into(),
+            (Int(1), _) => "int".into(),
+            (Float(n), Language::Wgsl) => format!("vec{n}<f32>"),
+            (Int(n), Language::Wgsl) => format!("vec{n}<i32>"),
+            (Float(n), Language::Hlsl) => format!("float{n}"),
+            (Int(n), Language::Hlsl) => format!("int{n}"),
+            (Float(n), _) => format!("vec{n}"),
+            (Int(n), _) => format!("ivec{n}"),
+        }
+    }
+
+    /// A value of a type from parts that fill it, or from one value of as many components.
+    pub fn make(&self, of: Type, parts: &str) -> String {
+        let name = self.name(of);
+        format!("{}({parts})", name.trim_start_matches("mediump "))
+    }
+
+    /// All components the same.
+    pub fn splat(&self, of: Type, value: &str) -> String {
+        match (of, self.language) {
+            (Float(1) | Int(1), _) => value.into(),
+            (Float(n) | Half(n) | Int(n), Language::Hlsl) => self.make(of, &vec![value; n].join(", ")),
+            _ => self.make(of, value),
+        }
+    }
+
+    /// A value as the networks compute with it, from `n` 32-bit numbers.
+    pub fn half(&self, n: usize, value: &str) -> String {
+        match (self.mode, self.language) {
+            (Mode::Fast, Language::Wgsl | Language::Hlsl) => self.make(Half(n), value),
+            _ => value.into(),
+        }
+    }
+
+    /// `n` 32-bit numbers from a value as the networks compute with it.
+    pub fn float(&self, n: usize, value: &str) -> String {
+        match (self.mode, self.language) {
+            (Mode::Fast, Language::Wgsl | Language::Hlsl) => self.make(Float(n), value),
+            _ => value.into(),
+        }
+    }
+
+    /// A named value.
+    pub fn declare(&mut self, of: Type, name: &str, value: &str) {
+        match self.language {
+            Language::Wgsl => self.line(format!("let {name} = {value};")),
+            _ => self.line(format!("{} {name} = {value};", self.name(of))),
+        }
+    }
+
+    /// As [`Self::declare`], of a value whose roundings matter: no compiler may rearrange or fuse its operations, where the
+    /// language has a word for that.
+    pub fn declare_precise(&mut self, of: Type, name: &str, value: &str) {
+        match (self.language, self.mode) {
+            (Language::Glsl | Language::Hlsl, Mode::Exact) => {
+                self.line(format!("precise {} {name} = {value};", self.name(of)));
+            }
+            _ => self.declare(of, name, value),
+        }
+    }
+
+    /// A named value that is assigned later.
+    pub fn variable(&mut self, of: Type, name: &str) {
+        match self.language {
+            Language::Wgsl => self.line(format!("var {name}: {};", self.name(of))),
+            _ => self.line(format!("{} {name};", self.name(of))),
+        }
+    }
+
+    /// A struct.
+    pub fn structure(&mut self, name: &str, fields: &[(Type, String)]) {
+        self.line(format!("struct {name} {{"));
+        for (of, field) in fields {
+            match self.language {
+                Language::Wgsl => self.line(format!("    {field}: {},", self.name(*of))),
+                _ => self.line(format!("    {} {field};", self.name(*of))),
+            }
+        }
+        self.line(if self.language == Language::Wgsl { "}" } else { "};" });
+        self.line("");
+    }
+
+    /// A function and its body.
+    pub fn function(
+        &mut self,
+        returns: Type,
+        name: &str,
+        parameters: &[(Type, String)],
+        body: impl FnOnce(&mut Self),
+    ) {
+        let each = parameters.iter().map(|(of, parameter)| match self.language {
+            Language::Wgsl => format!("{parameter}: {}", self.name(*of)),
+            _ => format!("{} {parameter}", self.name(*of)),
+        });
+        let each = each.collect::<Vec<_>>().join(", ");
+        let returns = self.name(returns);
+        match self.language {
+            Language::Wgsl => self.line(format!("fn {name}({each}) -> {returns} {{")),
+            _ => self.line(format!("{returns} {name}({each}) {{")),
+        }
+        self.depth += 1;
+        body(self);
+        self.depth -= 1;
+        self.line("}");
+        self.line("");
+    }
+
+    /// `yes` where the condition holds, else `no`; both are evaluated.
+    pub fn choose(&self, condition: &str, yes: &str, no: &str) -> String {
+        match self.language {
+            Language::Wgsl => format!("select({no}, {yes}, {condition})"),
+            _ => format!("({condition} ? {yes} : {no})"),
+        }
+    }
+
+    /// The vector of four weights at an index.
+    pub fn weight(&self, index: &str) -> String {
+        match (self.storage, self.language) {
+            (Storage::Texture, _) => {
+                let shift = WEIGHTS_WIDTH.ilog2();
+                let last = WEIGHTS_WIDTH - 1;
+                format!("texelFetch(neumip_weights, ivec2(({index}) & {last}, ({index}) >> {shift}), 0)")
+            }
+            (_, Language::Hlsl) => self.half(4, &format!("neumip_weights[{index}]")),
+            _ => format!("neumip_weights[{index}]"),
+        }
+    }
+
+    /// The name of linear interpolation.
+    pub fn mix(&self) -> &'static str {
+        if self.language == Language::Hlsl { "lerp" } else { "mix" }
+    }
+
+    /// `value` divided by 2 to the power of `by`, both integers, not below 1.
+    pub fn halved(&self, value: usize, by: &str) -> String {
+        match self.language {
+            Language::Wgsl => format!("max({value} >> u32({by}), 1)"),
+            _ => format!("max({value} >> {by}, 1)"),
+        }
+    }
+}
+
+/// A number as a literal of every language: shortest digits that give the same 32 bits.
+pub fn number(value: f32) -> String {
+    match value.abs() {
+        0.0 => "0.0".into(),
+        a if (1e-4..1e7).contains(&a) => format!("{value:?}"),
+        _ => {
+            let text = format!("{value:e}");
+            let (digits, exponent) = text.split_once('e').unwrap_or((&text, "0"));
+            let point = if digits.contains('.') { "" } else { ".0" };
+            format!("{digits}{point}e{exponent}")
+        }
+    }
+}
+
+/// The `k`-th letter of a vector.
+pub fn letter(k: usize) -> char {
+    ['x', 'y', 'z', 'w'][k % 4]
+}
