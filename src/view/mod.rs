@@ -16,6 +16,7 @@ use crate::error::{Error, Result};
 use crate::query::{QueryBuffer, RgbImage};
 use crate::report::{escaped, filled, inert};
 use neumip_export::shader::{self, Language, Material, Mode};
+use neumip_export::weights::Layout;
 use neumip_export::{Bundle, Measure};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -69,14 +70,16 @@ struct PageReference<'a> {
 /// `Config`, naming the field: of a decoder that reads neighbours, which no shader can answer point by point, and of what is
 /// too large for a page or not of one shape.
 pub fn html(bundle: &Bundle, reference: Option<&Reference>) -> Result<String> {
-    let material = Material::new(&bundle.checkpoint, None);
+    let header = &bundle.checkpoint.header;
+    let architecture = &header.architecture;
+    // Written into the source where there are not too many: some drivers check every read of a block.
+    let weights = Layout::new(architecture, None).fill(&bundle.checkpoint, None)?;
+    let material = Material { weights: Some(&weights), ..Material::new(&bundle.checkpoint, None) };
     let modes = [("exact", Mode::Exact), ("fast", Mode::Fast)];
     let modes = modes.map(|(name, mode)| Ok((name, shader::source(&material, Language::GlslEs, mode)?)));
     let modes = modes.into_iter().collect::<Result<_>>()?;
     let reference_of = reference.map(|r| described(r)).transpose()?;
     let (places, text) = numbers::pack(bundle, reference)?;
-    let header = &bundle.checkpoint.header;
-    let architecture = &header.architecture;
     let page = Page {
         name: &header.material,
         resolution: architecture.resolution,

@@ -9,6 +9,7 @@
     document.documentElement.dataset.state = "failed";
     if (asked.has("selftest")) by("result").textContent = JSON.stringify({ right: false, problem: error.message });
   };
+  const clamp = (v, low, high) => Math.min(Math.max(v, low), high);
   const asked = new URLSearchParams(location.hash.slice(1));
   const choice = (name, options, otherwise) => (options.includes(asked.get(name)) ? asked.get(name) : otherwise);
   const number = (name, otherwise) => {
@@ -19,13 +20,14 @@
     const values = asked.has(name) ? asked.get(name).split(",").map(Number) : [];
     return lengths.includes(values.length) && values.every(Number.isFinite) ? values : null;
   };
+  // Pictures for docs: so many frames at full size before the page counts as loaded, and none after.
+  const still = clamp(number("still", 0), 0, 512);
   const bare = asked.get("bare") === "1";
-  const clamp = (v, low, high) => Math.min(Math.max(v, low), high);
 
   // Tiles along u for one along v, so that a tile is about as wide as high.
   const ASPECT = { plane: 1, sphere: 2, torus: 2, cloth: 1 };
   const START = {
-    plane: { azimuth: -90, elevation: 48, distance: 3.6 },
+    plane: { azimuth: -90, elevation: 46, distance: 4.6 },
     sphere: { azimuth: -68, elevation: 20, distance: 4.4 },
     torus: { azimuth: -72, elevation: 40, distance: 4.5 },
     cloth: { azimuth: -62, elevation: 30, distance: 4.1 },
@@ -79,7 +81,7 @@
     wake();
   }
   function wake() {
-    if (!pace.due && engine) {
+    if (!pace.due && engine && !still) {
       pace.due = true;
       requestAnimationFrame(frame);
     }
@@ -192,8 +194,8 @@
   function report() {
     const texts = [];
     if (moving()) texts.push(`${pace.fps.toFixed(pace.fps < 10 ? 1 : 0)} frames/s`);
-    texts.push(`${pace.ms.toFixed(pace.ms < 10 ? 1 : 0)} ms a frame`);
-    texts.push(`${Math.round(Math.sqrt(pace.pixels / canvas.width / canvas.height) * 100)} % resolution`);
+    if (pace.ms) texts.push(`${pace.ms.toFixed(pace.ms < 10 ? 1 : 0)} ms a frame`);
+    if (pace.ms) texts.push(`${Math.round(Math.sqrt(pace.pixels / canvas.width / canvas.height) * 100)} % resolution`);
     if (state.lights === "sky" && state.show === "material") texts.push(`${grouped(pace.frames * SKY_LIGHTS)} lights`);
     texts.push(`${grouped(data.flops)} operations a query`);
     by("status").textContent = texts.join("  \u00b7  ");
@@ -556,14 +558,18 @@
     }
     if (asked.get("panel") === "0") fold();
     if (bare) for (const id of ["panel", "status"]) by(id).style.display = "none";
-    // Pictures for the docs: all frames at full size before the page counts as loaded.
-    const still = number("still", 0);
     fit();
     if (still && state.show === "error") compare(true);
     else if (still) {
       pace.scale = 1;
-      for (let k = 0; k < still; k++) drawFrame(true);
+      for (let k = 0; k < still; k++) {
+        drawFrame(true);
+        // Frame by frame: a queue of many looks like a device that hangs.
+        engine.gl.readPixels(0, 0, 1, 1, engine.gl.RGBA, engine.gl.UNSIGNED_BYTE, new Uint8Array(4));
+      }
+      document.documentElement.dataset.state = "drawn";
     }
+    report();
     if (still) return;
     addEventListener("resize", () => changed(true));
     changed(true);
