@@ -1,3 +1,4 @@
+//! scratch
 use neumip_export::shader::*;
 fn main() {
     let a: Vec<String> = std::env::args().collect();
@@ -5,22 +6,11 @@ fn main() {
     std::fs::create_dir_all(&a[2]).unwrap();
     let out = std::path::Path::new(&a[2]);
     let s = a.get(3).map(|p| neumip_export::Sampler::read(std::path::Path::new(p)).unwrap());
-    let m = Material::new(&c, s.as_ref().map(|s| &s.header.config));
-    for l in Language::ALL {
-        for mode in Mode::ALL {
-            std::fs::write(out.join(file_name(l, mode)), source(&m, l, mode).unwrap()).unwrap();
-        }
+    for (name, text) in files(&c, s.as_ref()).unwrap() {
+        std::fs::write(out.join(name), text).unwrap();
     }
     let layout =
         neumip_export::weights::Layout::new(&c.header.architecture, s.as_ref().map(|s| &s.header.config));
-    std::fs::write(
-        out.join("weights-f32.bin"),
-        neumip_export::weights::single_bytes(&layout.fill(&c, s.as_ref()).unwrap()),
-    )
-    .unwrap();
-    std::fs::write(
-        out.join("weights-f16.bin"),
-        neumip_export::weights::half_bytes(&layout.fill(&c, s.as_ref()).unwrap()),
-    )
-    .unwrap();
+    let block = layout.fill(&c, s.as_ref()).unwrap();
+    std::fs::write(out.join("weights-f32.bin"), neumip_export::weights::single_bytes(&block)).unwrap();
 }

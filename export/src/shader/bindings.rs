@@ -19,12 +19,15 @@ pub enum Storage {
     Buffer,
     /// A texture: what GLSL ES 3.00 has beyond a uniform block.
     Texture,
+    /// In the source, as numbers.
+    Source,
 }
 
 impl Storage {
     /// Where a block of `values` goes.
-    pub fn of(language: Language, mode: Mode, values: usize) -> Self {
+    pub fn of(language: Language, mode: Mode, values: usize, written: bool) -> Self {
         match language {
+            _ if written => Self::Source,
             // An array of 16-bit vectors may not be a uniform.
             Language::Wgsl if mode == Mode::Fast => Self::Buffer,
             _ if 4 * values <= MOST_CONSTANT_BYTES => Self::Constants,
@@ -57,6 +60,7 @@ fn glsl_es(w: &mut Writer, textures: &[Texture], vectors: usize) {
     textures.iter().for_each(|t| w.line(format!("uniform sampler2DArray {};", t.name())));
     match w.storage {
         Storage::Texture => w.line("uniform sampler2D neumip_weights;"),
+        Storage::Source => (),
         _ => w.line(format!(
             "layout(std140) uniform NeumipWeights {{ {} neumip_weights[{vectors}]; }};",
             w.name(Half(4))
@@ -71,6 +75,12 @@ fn glsl(w: &mut Writer, textures: &[Texture], vectors: usize) {
         w.line(format!("#define NEUMIP_{name}_BINDING {number}"));
     }
     w.line("#endif");
+    if w.is_exact() {
+        w.comment("Define it as nothing for a compiler that does not know the word.");
+        w.line("#ifndef NEUMIP_PRECISE");
+        w.line("#define NEUMIP_PRECISE precise");
+        w.line("#endif");
+    }
     w.comment("Define it where textures and samplers are bound apart.");
     w.line("#ifdef NEUMIP_SEPARATE_SAMPLER");
     w.line("layout(binding = NEUMIP_SAMPLER_BINDING) uniform sampler neumip_sampler;");
@@ -86,6 +96,7 @@ fn glsl(w: &mut Writer, textures: &[Texture], vectors: usize) {
     }
     w.line("#endif");
     let block = match w.storage {
+        Storage::Source => return,
         Storage::Buffer => "std430, binding = NEUMIP_WEIGHTS_BINDING) readonly buffer",
         _ => "std140, binding = NEUMIP_WEIGHTS_BINDING) uniform",
     };
@@ -104,11 +115,15 @@ fn wgsl(w: &mut Writer, textures: &[Texture], vectors: usize) {
         let binding = usize::from(*t == Texture::Offset);
         w.line(format!("@group(0) @binding({binding}) var {}: texture_2d_array<f32>;", t.name()));
     }
-    let space = if w.storage == Storage::Buffer { "storage, read" } else { "uniform" };
-    w.line(format!(
-        "@group(0) @binding(2) var<{space}> neumip_weights: array<{}, {vectors}>;",
-        w.name(Half(4))
-    ));
+    let space = match w.storage {
+        Storage::Source => None,
+        Storage::Buffer => Some("storage, read"),
+        _ => Some("uniform"),
+    };
+    if let Some(space) = space {
+        let of = w.name(Half(4));
+        w.line(format!("@group(0) @binding(2) var<{space}> neumip_weights: array<{of}, {vectors}>;"));
+    }
     if !w.is_exact() {
         w.line("@group(0) @binding(3) var neumip_sampler: sampler;");
     }
@@ -145,12 +160,11 @@ fn hlsl(w: &mut Writer, textures: &[Texture], vectors: usize) {
     if !w.is_exact() {
         w.line("SamplerState neumip_sampler : register(NEUMIP_SAMPLER_REGISTER);");
     }
-    match constants {
-        true => w.line(format!(
+    match w.storage {
+        Storage::Source => (),
+        Storage::Constants => w.line(format!(
             "cbuffer NeumipWeights : register(NEUMIP_WEIGHTS_REGISTER) {{ float4 neumip_weights[{vectors}]; }};"
         )),
-        false => {
-            w.line("StructuredBuffer<float4> neumip_weights : register(NEUMIP_WEIGHTS_REGISTER);");
-        }
+        _ => w.line("StructuredBuffer<float4> neumip_weights : register(NEUMIP_WEIGHTS_REGISTER);"),
     }
 }

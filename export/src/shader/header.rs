@@ -11,8 +11,9 @@ pub fn comment(w: &mut Writer, material: &Material, layout: &Layout) {
     let [height, width] = architecture.finest_size();
     let levels = architecture.levels();
     let layers = architecture.model.texture.channels.div_ceil(4);
-    // A name comes from a file: nothing of it may end the comment.
-    let name: String = material.name.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+    // A name comes from a file: nothing of it may end the comment, in WGSL not even these two.
+    let ends = |c: char| c.is_control() || ['\u{2028}', '\u{2029}'].contains(&c);
+    let name = material.name.replace(ends, " ");
     let language = match w.language {
         Language::GlslEs => "GLSL ES 3.00",
         Language::Glsl => "GLSL 4.50",
@@ -83,6 +84,7 @@ fn bindings(
         Storage::Constants => "uniform block",
         Storage::Buffer => "read-only buffer",
         Storage::Texture => "texture of 32-bit floats",
+        Storage::Source => return text + "The weights are in the source.",
     };
     text += &format!("neumip_weights: {place}, the {bytes} bytes of {SINGLE} as {vectors} vectors");
     text += &match w.storage {

@@ -1,7 +1,8 @@
 //! Shader source of a material: functions for a renderer's own shaders, generated for the material's exact shape.
 //!
 //! One generator makes all languages, so they cannot drift apart. Weights and textures are bound, not written into the
-//! source: it changes with the architecture only.
+//! source: it changes with the architecture only, unless weights are
+//! asked for.
 
 mod bindings;
 mod encoding;
@@ -16,8 +17,11 @@ mod writer;
 use crate::checkpoint::{Checkpoint, Measure};
 use crate::config::{Architecture, OutputTransform};
 use crate::error::{Error, Result};
-use crate::sampler::SamplerConfig;
+use crate::sampler::{Sampler, SamplerConfig};
 use crate::weights::Layout;
+
+/// Most weights that are written into a source: a megabyte of text.
+const MOST_LITERALS: usize = 1 << 16;
 
 /// The language of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,13 +66,21 @@ pub struct Material<'a> {
     pub architecture: &'a Architecture,
     /// The shape of its sampler; without one there are no functions that draw directions.
     pub sampler: Option<&'a SamplerConfig>,
+    /// The block of weights ([`Layout::fill`]), to be written into the source as numbers; without it they are bound.
+    pub weights: Option<&'a [f32]>,
 }
 
 impl<'a> Material<'a> {
     /// Of a checkpoint.
     pub fn new(checkpoint: &'a Checkpoint, sampler: Option<&'a SamplerConfig>) -> Self {
         let header = &checkpoint.header;
-        Self { name: &header.material, measure: header.measure, architecture: &header.architecture, sampler }
+        Self {
+            name: &header.material,
+            measure: header.measure,
+            architecture: &header.architecture,
+            sampler,
+            weights: None,
+        }
     }
 }
 
@@ -86,6 +98,28 @@ pub fn file_name(language: Language, mode: Mode) -> &'static str {
     }
 }
 
+/// The sources of a bundle: all languages in both modes, by file name. Those for WebGL have the weights in them: on a software
+/// rasteriser that is five times as fast as a uniform block, whose reads are checked one by one, and nothing bounds the size of
+/// the networks. The others read the block of weights.
+///
+/// # Errors
+/// As [`source`], and `Config`, naming a tensor that is missing.
+pub fn files(checkpoint: &Checkpoint, sampler: Option<&Sampler>) -> Result<Vec<(&'static str, String)>> {
+    let config = sampler.map(|sampler| &sampler.header.config);
+    let material = Material::new(checkpoint, config);
+    check(&material)?;
+    let block = Layout::new(material.architecture, config).fill(checkpoint, sampler)?;
+    let mut files = Vec::new();
+    for language in Language::ALL {
+        let written = language == Language::GlslEs && block.len() <= MOST_LITERALS;
+        let material = Material { weights: written.then_some(&block), ..material };
+        for mode in Mode::ALL {
+            files.push((file_name(language, mode), source(&material, language, mode)?));
+        }
+    }
+    Ok(files)
+}
+
 /// Operations of the networks in neumip_prepare and neumip_evaluate together.
 pub fn operations(architecture: &Architecture) -> usize {
     architecture.flops_per_query()
@@ -98,24 +132,11 @@ pub fn operations(architecture: &Architecture) -> usize {
 /// `Config`, naming the field: of an invalid architecture or sampler, of a sampler that reads more channels than there are,
 /// and of a decoder that reads neighbours, which no function of one query can answer.
 pub fn source(material: &Material, language: Language, mode: Mode) -> Result<String> {
+    check(material)?;
     let architecture = material.architecture;
-    architecture.validate()?;
-    if architecture.neighbourhood().is_some() {
-        let problem =
-            "an inception decoder reads neighbours, which a shader of one query cannot; use the ONNX graphs";
-        return Err(Error::config("decoder.kind", problem));
-    }
-    if let Some(sampler) = material.sampler {
-        sampler.validate()?;
-        let channels = architecture.model.texture.channels;
-        if sampler.features > channels {
-            let problem = format!("{} of a texture with {channels} channels", sampler.features);
-            return Err(Error::config("sampler.features", problem));
-        }
-    }
     let layout = Layout::new(architecture, material.sampler);
-    let storage = bindings::Storage::of(language, mode, layout.values);
-    let mut w = writer::Writer::new(language, mode, storage);
+    let storage = bindings::Storage::of(language, mode, layout.values, material.weights.is_some());
+    let mut w = writer::Writer::new(language, mode, storage, material.weights);
     header::comment(&mut w, material, &layout);
     bindings::declare(&mut w, material, &layout);
     let mut widths = encoding::sine_widths(architecture);
@@ -133,4 +154,33 @@ pub fn source(material: &Material, language: Language, mode: Mode) -> Result<Str
         lobes::functions(&mut w, sampler, &layout);
     }
     Ok(w.finish())
+}
+
+/// Whether there is a source of this shape.
+fn check(material: &Material) -> Result<()> {
+    let architecture = material.architecture;
+    architecture.validate()?;
+    if architecture.neighbourhood().is_some() {
+        let problem =
+            "an inception decoder reads neighbours, which a shader of one query cannot; use the ONNX graphs";
+        return Err(Error::config("decoder.kind", problem));
+    }
+    if let Some(sampler) = material.sampler {
+        sampler.validate()?;
+        let channels = architecture.model.texture.channels;
+        if sampler.features > channels {
+            let problem = format!("{} of a texture with {channels} channels", sampler.features);
+            return Err(Error::config("sampler.features", problem));
+        }
+    }
+    let values = Layout::new(architecture, material.sampler).values;
+    match material.weights {
+        Some(block) if block.len() != values => {
+            Err(Error::config("weights", format!("{} values where the layout has {values}", block.len())))
+        }
+        Some(block) if block.iter().any(|v| !v.is_finite()) => {
+            Err(Error::config("weights", "have a value that is not a number"))
+        }
+        _ => Ok(()),
+    }
 }

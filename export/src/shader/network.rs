@@ -1,7 +1,7 @@
 //! Fully connected layers on values that stay in registers: a function a layer gives four outputs at a time, as dot products
 //! of the weight's rows with vectors of four inputs.
 
-use super::writer::{Type, Type::Half, Type::Int, Writer, letter};
+use super::writer::{Type, Type::Float, Type::Half, Type::Int, Writer, letter};
 use crate::config::{DECODER_MLP, OFFSET_MLP};
 use crate::weights::Layer;
 
@@ -53,7 +53,10 @@ impl<'a> Part<'a> {
     /// The functions: of four outputs, and of those that remain.
     pub fn functions(&self, w: &mut Writer) {
         let (whole, rest) = (self.layer.outputs / 4, self.layer.outputs % 4);
-        if whole > 0 {
+        if w.has_literals() {
+            (0..whole)
+                .for_each(|group| self.function(w, &format!("{}_{group}", self.name()), 4, Some(group)));
+        } else if whole > 0 {
             self.function(w, &self.name(), 4, None);
         }
         if rest > 0 {
@@ -71,23 +74,24 @@ impl<'a> Part<'a> {
         let registers = self.registers.iter().enumerate();
         parameters.extend(registers.map(|(k, r)| (Half(r.lanes.len()), format!("x{k}"))));
         w.function(Half(rows), name, &parameters, |w| {
-            match group {
-                None => w.declare(Int(1), "row", &format!("four * {} + {weight}", 4 * stride)),
-                Some(group) => w.declare(Int(1), "row", &format!("{}", weight + group * 4 * stride)),
+            let (base, start) = match group {
+                None => (Some("row"), 0),
+                Some(group) => (None, weight + group * 4 * stride),
+            };
+            if group.is_none() {
+                w.declare(Int(1), "row", &format!("four * {} + {weight}", 4 * stride));
             }
-            let bias = match group {
-                _ if !self.biased => String::new(),
-                None => format!("{} + ", w.weight(&format!("{bias} + four"))),
-                Some(group) => {
-                    format!("{}{} + ", w.weight(&format!("{}", bias + group)), lanes(&"xyzw"[..rows]))
-                }
+            let bias = match (self.biased, group) {
+                (false, _) => String::new(),
+                (true, None) => format!("{} + ", w.weight(Some("four"), bias, "xyzw")),
+                (true, Some(group)) => format!("{} + ", w.weight(None, bias + group, &"xyzw"[..rows])),
             };
             let sums = (0..rows).map(|row| {
                 let terms = self.registers.iter().enumerate().map(|(k, register)| {
-                    let weight = w.weight(&format!("row + {}", row * stride + register.vector));
+                    let weight = w.weight(base, start + row * stride + register.vector, &register.lanes);
                     match register.lanes.len() {
-                        1 => format!("{weight}.{} * x{k}", register.lanes),
-                        _ => format!("dot({weight}{}, x{k})", lanes(&register.lanes)),
+                        1 => format!("{weight} * x{k}"),
+                        _ => format!("dot({weight}, x{k})"),
                     }
                 });
                 terms.collect::<Vec<_>>().join(" + ")
@@ -113,15 +117,13 @@ impl<'a> Part<'a> {
         for (k, register) in self.registers.iter().enumerate() {
             let (these, after) = rest.split_at(register.lanes.len().min(rest.len()));
             rest = after;
-            let of = Half(these.len());
             let joined = joined(these);
             let value = match joined.as_slice() {
-                [one] => w.half(these.len(), one),
-                parts => {
-                    let parts = parts.join(", ");
-                    w.make(of, &parts)
-                }
+                [one] => one.clone(),
+                parts => w.make(Float(these.len()), &parts.join(", ")),
             };
+            let of = Half(these.len());
+            let value = w.half(these.len(), &value);
             let name = format!("{prefix}{k}");
             w.declare(of, &name, &value);
             names.push(name);
@@ -144,6 +146,7 @@ impl<'a> Part<'a> {
         let widths = output_widths(self.layer);
         for (group, width) in widths.iter().enumerate() {
             let mut value = match group < whole {
+                true if w.has_literals() => format!("{}_{group}({inputs})", self.name()),
                 true => format!("{}({group}, {inputs})", self.name()),
                 false => format!("{}_last({inputs})", self.name()),
             };
@@ -187,7 +190,8 @@ pub fn rest(w: &mut Writer, layers: &[&Layer], first: Vec<String>, letters: [cha
     each.collect()
 }
 
-fn lanes(letters: &str) -> String {
+/// A swizzle, where it is not of all four.
+pub fn lanes(letters: &str) -> String {
     if letters == "xyzw" { String::new() } else { format!(".{letters}") }
 }
 

@@ -20,17 +20,18 @@ pub enum Type {
 use Type::{Float, Half, Int, Struct};
 
 /// The text so far.
-pub struct Writer {
+pub struct Writer<'a> {
     pub language: Language,
     pub mode: Mode,
     pub storage: Storage,
+    literals: Option<&'a [f32]>,
     text: String,
     depth: usize,
 }
 
-impl Writer {
-    pub fn new(language: Language, mode: Mode, storage: Storage) -> Self {
-        Self { language, mode, storage, text: String::new(), depth: 0 }
+impl<'a> Writer<'a> {
+    pub fn new(language: Language, mode: Mode, storage: Storage, literals: Option<&'a [f32]>) -> Self {
+        Self { language, mode, storage, literals, text: String::new(), depth: 0 }
     }
 
     pub fn finish(self) -> String {
@@ -125,7 +126,10 @@ impl Writer {
     /// language has a word for that.
     pub fn declare_precise(&mut self, of: Type, name: &str, value: &str) {
         match (self.language, self.mode) {
-            (Language::Glsl | Language::Hlsl, Mode::Exact) => {
+            (Language::Glsl, Mode::Exact) => {
+                self.line(format!("NEUMIP_PRECISE {} {name} = {value};", self.name(of)));
+            }
+            (Language::Hlsl, Mode::Exact) => {
                 self.line(format!("precise {} {name} = {value};", self.name(of)));
             }
             _ => self.declare(of, name, value),
@@ -186,16 +190,38 @@ impl Writer {
         }
     }
 
-    /// The vector of four weights at an index.
-    pub fn weight(&self, index: &str) -> String {
+    /// True where weights are numbers in the source.
+    pub fn has_literals(&self) -> bool {
+        self.literals.is_some()
+    }
+
+    /// Components of a vector of four weights, `at` vectors after `base`.
+    pub fn weight(&self, base: Option<&str>, at: usize, letters: &str) -> String {
+        if let Some(block) = self.literals {
+            let lane = |letter| "xyzw".find(letter).unwrap_or(0);
+            let values = letters.chars().map(|l| number(block.get(4 * at + lane(l)).copied().unwrap_or(0.0)));
+            let values: Vec<String> = values.collect();
+            return match values.as_slice() {
+                [one] => self.half(1, one),
+                all => self.make(Half(all.len()), &all.join(", ")),
+            };
+        }
+        let index = match (base, at) {
+            (None, at) => format!("{at}"),
+            (Some(base), 0) => base.into(),
+            (Some(base), at) => format!("{base} + {at}"),
+        };
+        let lanes = super::network::lanes(letters);
         match (self.storage, self.language) {
             (Storage::Texture, _) => {
                 let shift = WEIGHTS_WIDTH.ilog2();
                 let last = WEIGHTS_WIDTH - 1;
-                format!("texelFetch(neumip_weights, ivec2(({index}) & {last}, ({index}) >> {shift}), 0)")
+                format!(
+                    "texelFetch(neumip_weights, ivec2(({index}) & {last}, ({index}) >> {shift}), 0){lanes}"
+                )
             }
-            (_, Language::Hlsl) => self.half(4, &format!("neumip_weights[{index}]")),
-            _ => format!("neumip_weights[{index}]"),
+            (_, Language::Hlsl) => self.half(letters.len(), &format!("neumip_weights[{index}]{lanes}")),
+            _ => format!("neumip_weights[{index}]{lanes}"),
         }
     }
 

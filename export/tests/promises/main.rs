@@ -6,4 +6,5 @@ mod graphs;
 mod materials;
 mod plain;
 mod precision;
+mod shaders;
 mod textures;
