@@ -4,6 +4,9 @@ const SHAPES = ["plane", "sphere", "torus", "cloth"];
 const QUERIES = 4;
 const VIEWS = { material: 0, levels: 1, answer: 2, error: 3 };
 const MOST_LIGHTS = 8;
+// Squares of a mesh, seen and as what casts shadows.
+const GRID = [240, 160];
+const SHADOW_GRID = [120, 80];
 // Vectors in a row of the texture of weights, as the material's shader reads it.
 const WEIGHTS_WIDTH = 1024;
 
@@ -249,9 +252,9 @@ class Engine {
     this.meshes.set(key, { array, count: corners.length });
     return this.meshes.get(key);
   }
-  drawMesh() {
+  drawMesh(columns, rows) {
     const { gl } = this;
-    const mesh = this.mesh(288, 192);
+    const mesh = this.mesh(columns, rows);
     gl.bindVertexArray(mesh.array);
     gl.drawElements(gl.TRIANGLES, mesh.count, gl.UNSIGNED_INT, 0);
   }
@@ -282,7 +285,7 @@ class Engine {
       gl.framebufferTextureLayer(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, shadows.texture, 0, k);
       gl.clear(gl.DEPTH_BUFFER_BIT);
       gl.uniformMatrix4fv(at("projection"), false, matrices[k]);
-      this.drawMesh();
+      this.drawMesh(...SHADOW_GRID);
     });
     gl.disable(gl.DEPTH_TEST);
   }
@@ -315,7 +318,7 @@ class Engine {
       gl.enable(gl.DEPTH_TEST);
       gl.depthFunc(gl.LESS);
       gl.colorMask(false, false, false, false);
-      this.drawMesh();
+      this.drawMesh(...GRID);
       gl.colorMask(true, true, true, true);
       gl.depthFunc(gl.EQUAL);
       gl.depthMask(false);
@@ -349,7 +352,7 @@ class Engine {
     }
     if (mesh) {
       gl.uniformMatrix4fv(at("projection"), false, projection);
-      this.drawMesh();
+      this.drawMesh(...GRID);
       gl.disable(gl.DEPTH_TEST);
       gl.depthMask(true);
     } else this.drawAll();

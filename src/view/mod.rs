@@ -74,7 +74,10 @@ pub fn html(bundle: &Bundle, reference: Option<&Reference>) -> Result<String> {
     let architecture = &header.architecture;
     // Written into the source where there are not too many: some drivers check every read of a block.
     let weights = Layout::new(architecture, None).fill(&bundle.checkpoint, None)?;
-    let material = Material { weights: Some(&weights), ..Material::new(&bundle.checkpoint, None) };
+    let material = Material {
+        weights: Some(&weights[..]).filter(|w| w.len() <= shader::MOST_LITERALS),
+        ..Material::new(&bundle.checkpoint, None)
+    };
     let modes = [("exact", Mode::Exact), ("fast", Mode::Fast)];
     let modes = modes.map(|(name, mode)| Ok((name, shader::source(&material, Language::GlslEs, mode)?)));
     let modes = modes.into_iter().collect::<Result<_>>()?;

@@ -3,11 +3,15 @@
   const by = (id) => document.getElementById(id);
   const data = JSON.parse(by("data").textContent);
   const canvas = by("view");
+  const say = (result) => {
+    by("result").textContent = JSON.stringify(result);
+    by("result").hidden = false;
+  };
   const fail = (error) => {
     by("message").textContent = error.message;
     for (const id of ["panel", "status", "scale"]) by(id).hidden = true;
     document.documentElement.dataset.state = "failed";
-    if (asked.has("selftest")) by("result").textContent = JSON.stringify({ right: false, problem: error.message });
+    if (asked.has("selftest") || asked.has("render")) say({ right: false, problem: error.message });
   };
   const clamp = (v, low, high) => Math.min(Math.max(v, low), high);
   const asked = new URLSearchParams(location.hash.slice(1));
@@ -35,7 +39,9 @@
   const FOV = 32;
   const LIGHT = [-0.25, -0.72, 0.65];
   const MOST_FRAMES = { one: 24, sky: 192 };
-  const SLOW = 45, QUICK = 15, PATIENT = 350;
+  // Milliseconds of a frame: a moving one is made coarser above the first and finer below the second, a still one likewise.
+  const MOVING = { most: 45, least: 15, coarsest: 0.2 };
+  const STILL = { most: 700, least: 250, coarsest: 0.4 };
 
   function fresh(shape) {
     return {
@@ -73,7 +79,7 @@
   let numbers;
 
   // Frames: a coarse one while something moves, then finer ones whose mean is shown.
-  const pace = { scale: 0.6, perPixel: 0, frames: 0, moved: 0, fence: null, started: 0, pixels: 0, ms: 0, last: 0, fps: 0, due: false };
+  const pace = { moving: 0.6, still: 1, frames: 0, moved: 0, fence: null, started: 0, pixels: 0, ms: 0, last: 0, fps: 0, due: false, size: "" };
   const moving = () => performance.now() - pace.moved < 160;
   function changed(still = false) {
     pace.frames = 0;
@@ -122,8 +128,7 @@
     changed(true);
   }
   function size() {
-    const most = pace.perPixel ? Math.sqrt(PATIENT / (pace.perPixel * canvas.width * canvas.height)) : 1;
-    const scale = moving() ? pace.scale : clamp(most, pace.scale, 1);
+    const scale = still ? 1 : moving() ? pace.moving : Math.max(pace.moving, pace.still);
     return [canvas.width, canvas.height].map((v) => Math.max(1, Math.round(v * scale)));
   }
 
@@ -131,8 +136,9 @@
     const [width, height] = size();
     const target = engine.target("frame", width, height, { depth: true });
     const key = `${width} ${height}`;
-    if (pace.key !== key) pace.frames = 0;
-    pace.key = key;
+    if (pace.size !== key) pace.frames = 0;
+    pace.size = key;
+    pace.kind = moving() ? "moving" : "still";
     if (!engine.draw(target, scene(pace.frames, width, height), wait)) return false;
     const mean = engine.blend(target, pace.frames);
     pace.frames += 1;
@@ -145,6 +151,13 @@
     return true;
   }
 
+  // The resolution follows what the last frame took.
+  function adapt() {
+    const { most, least, coarsest } = pace.kind === "moving" ? MOVING : STILL;
+    const scale = pace[pace.kind];
+    if (pace.ms > most) pace[pace.kind] = Math.max(coarsest, scale * Math.max(0.6, 0.95 * Math.sqrt(most / pace.ms)));
+    else if (pace.ms < least) pace[pace.kind] = Math.min(1, scale * (pace.kind === "moving" ? 1.1 : 1.5));
+  }
   function frame() {
     pace.due = false;
     if (engine.gl.isContextLost()) return;
@@ -163,19 +176,15 @@
       gl.deleteSync(pace.fence);
       pace.fence = null;
       pace.ms = performance.now() - pace.started;
-      pace.perPixel = 0.7 * pace.perPixel + 0.3 * (pace.ms / pace.pixels) || pace.ms / pace.pixels;
-      if (moving()) {
-        if (pace.ms > SLOW) pace.scale = Math.max(0.12, pace.scale * Math.max(0.6, Math.sqrt(SLOW / pace.ms) * 0.95));
-        else if (pace.ms < QUICK) pace.scale = Math.min(1, pace.scale * 1.1);
-      }
+      // A mode's first frame includes what the driver still compiles.
+      if (pace.warm === state.mode) adapt();
+      pace.warm = state.mode;
       report();
     }
     if (state.show === "error") return compare();
-    const first = !moving() && pace.frames === 0;
-    if (pace.frames > 0 && !moving() && pace.key !== size().join(" ")) pace.frames = 0;
-    if (!first && pace.frames >= (moving() ? 1e9 : MOST_FRAMES[state.lights])) return;
     // Frames of a moving scene are not averaged.
-    if (moving()) pace.frames = 0;
+    if (moving() || pace.size !== size().join(" ")) pace.frames = 0;
+    if (pace.frames >= MOST_FRAMES[state.lights]) return;
     pace.started = performance.now();
     pace.fps = 0.8 * pace.fps + 0.2 * (1000 / Math.max(1, pace.started - pace.last));
     pace.last = pace.started;
@@ -232,15 +241,15 @@
     gl.clear(gl.COLOR_BUFFER_BIT);
     const ratio = canvas.width / innerWidth;
     const [wide, high] = [innerWidth - covered() - 32, innerHeight - 90];
-    const across = wide * height > 1.6 * high * width;
     const gap = 12;
-    const scale = across
-      ? Math.min((wide - 2 * gap) / (3 * width), high / height)
-      : Math.min(wide / width, (high - 2 * (gap + 18)) / (3 * height));
+    const beside = Math.min((wide - 2 * gap) / (3 * width), high / height);
+    const below = Math.min(wide / width, (high - 20 - 2 * (gap + 18)) / (3 * height));
+    const across = beside >= below;
+    const scale = Math.max(beside, below, 1e-3);
     const [w, h] = [width * scale, height * scale].map((v) => Math.max(1, Math.floor(v)));
     const captions = PANELS.map((text, k) => {
       const left = across ? 16 + (wide - 3 * w - 2 * gap) / 2 + k * (w + gap) : 16 + (wide - w) / 2;
-      const top = across ? 36 + (high - h) / 2 : 28 + k * (h + gap + 18);
+      const top = across ? 36 + (high - h) / 2 : 84 + k * (h + gap + 18);
       const rectangle = [left, innerHeight - top - h, w, h].map((v) => Math.round(v * ratio));
       const largest = 2 ** state.largest;
       const picture = k === 0 ? reference.picture : target;
@@ -551,28 +560,34 @@
     });
     if (asked.has("selftest")) {
       const result = window.neumip.selftest();
-      by("result").textContent = JSON.stringify(result);
-      by("result").hidden = false;
       document.title = result.right ? "right" : "wrong";
-      return;
+      return say(result);
     }
-    if (asked.get("panel") === "0") fold();
+    if (asked.has("render")) {
+      const { width, height, pixels } = window.neumip.render(JSON.parse(asked.get("render")));
+      const bytes = new Uint8Array(pixels.buffer);
+      let binary = "";
+      for (let i = 0; i < bytes.length; i += 4096) binary += String.fromCharCode(...bytes.subarray(i, i + 4096));
+      return say({ width, height, pixels: btoa(binary) });
+    }
+    if (asked.has("panel") ? asked.get("panel") === "0" : innerWidth <= 600) fold();
     if (bare) for (const id of ["panel", "status"]) by(id).style.display = "none";
     fit();
-    if (still && state.show === "error") compare(true);
-    else if (still) {
-      pace.scale = 1;
-      for (let k = 0; k < still; k++) {
-        drawFrame(true);
-        // Frame by frame: a queue of many looks like a device that hangs.
-        engine.gl.readPixels(0, 0, 1, 1, engine.gl.RGBA, engine.gl.UNSIGNED_BYTE, new Uint8Array(4));
-      }
-      document.documentElement.dataset.state = "drawn";
-    }
-    report();
-    if (still) return;
-    addEventListener("resize", () => changed(true));
+    if (still) drawStill();
+    addEventListener("resize", still ? drawStill : () => changed(true));
     changed(true);
+  }
+  function drawStill() {
+    fit();
+    if (state.show === "error") return compare(true);
+    pace.frames = 0;
+    for (let k = 0; k < still; k++) {
+      drawFrame(true);
+      // Frame by frame: a queue of many looks like a device that hangs.
+      engine.gl.readPixels(0, 0, 1, 1, engine.gl.RGBA, engine.gl.UNSIGNED_BYTE, new Uint8Array(4));
+    }
+    document.documentElement.dataset.state = "drawn";
+    report();
   }
 
   try {

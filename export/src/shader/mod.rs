@@ -21,7 +21,7 @@ use crate::sampler::{Sampler, SamplerConfig};
 use crate::weights::Layout;
 
 /// Most weights that are written into a source: a megabyte of text.
-const MOST_LITERALS: usize = 1 << 16;
+pub const MOST_LITERALS: usize = 1 << 16;
 
 /// The language of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
