@@ -2,9 +2,9 @@
 const IRRADIANCE = Math.PI;
 const SKY_LIGHTS = 4;
 // Shares of the irradiance that a facing plane gets from the lamp, a lamp behind, and the sky, and how sharp the lamps are.
-const LAMP = { power: 0.62, sharpness: 28 };
-const RIM = { power: 0.16, sharpness: 9 };
-const SKY = { power: 0.22 };
+const LAMP = { power: 0.8, sharpness: 28 };
+const RIM = { power: 0.25, sharpness: 9 };
+const SKY = { power: 0.35 };
 
 function halton(index, base) {
   let [value, step] = [0, 1];
