@@ -2,6 +2,7 @@
 // Draws with WebGL 2 what the page asks for; knows nothing of the page.
 const SHAPES = ["plane", "sphere", "torus", "cloth"];
 const QUERIES = 4;
+const MESHES = [2, 3];
 const VIEWS = { material: 0, levels: 1, answer: 2, error: 3 };
 const MOST_LIGHTS = 8;
 // Squares of a mesh, seen and as what casts shadows.
@@ -92,9 +93,9 @@ class Engine {
     this.meshes = new Map();
     this.empty = gl.createVertexArray();
     const { blend_frag, present_frag, depth_frag, scene_vert } = data.glsl;
-    this.blending = this.link(scene_vert, blend_frag);
-    this.presenting = this.link(scene_vert, present_frag);
-    this.filling = this.link(scene_vert, depth_frag);
+    this.blending = this.link(QUERIES, scene_vert, blend_frag);
+    this.presenting = this.link(QUERIES, scene_vert, present_frag);
+    this.filling = MESHES.map((shape) => this.link(shape, scene_vert, depth_frag));
     const weights = floats(this.numbers, data.numbers.weights);
     this.weights = gl.createBuffer();
     gl.bindBuffer(gl.UNIFORM_BUFFER, this.weights);
@@ -133,9 +134,9 @@ class Engine {
   }
 
   // A program that may still be in the making: see `ready`.
-  link(vertex, fragment, material = "") {
+  link(shape, vertex, fragment, material = "") {
     const { gl } = this;
-    const head = "#version 300 es\nprecision highp float;\nprecision highp int;\nprecision highp sampler2DArray;\n";
+    const head = `#version 300 es\n#define SHAPE ${shape}\n` + "precision highp float;\nprecision highp int;\nprecision highp sampler2DArray;\n";
     const program = gl.createProgram();
     const { surface } = this.data.glsl;
     for (const [kind, text] of [[gl.VERTEX_SHADER, surface + vertex], [gl.FRAGMENT_SHADER, material + surface + fragment]]) {
@@ -153,14 +154,16 @@ class Engine {
     return { program, at, checked: false };
   }
 
-  // The program of a mode, or null while it is made; with `wait` it is there.
-  ready(mode, wait) {
+  // The program of a mode, a shape and a view, or null while it is made; with `wait` it is there.
+  ready(mode, shape, view, wait) {
     const { gl, data } = this;
-    if (!this.programs.has(mode)) {
+    const key = `${mode} ${shape} ${view}`;
+    if (!this.programs.has(key)) {
       const { scene_vert, scene_frag } = data.glsl;
-      this.programs.set(mode, this.link(scene_vert, scene_frag, data.shader.modes[mode]));
+      const material = `#define VIEW ${view}\n` + data.shader.modes[mode];
+      this.programs.set(key, this.link(shape, scene_vert, scene_frag, material));
     }
-    const made = this.programs.get(mode);
+    const made = this.programs.get(key);
     if (made.checked) return made;
     if (!wait && this.parallel && !gl.getProgramParameter(made.program, this.parallel.COMPLETION_STATUS_KHR)) return null;
     this.check(made);
@@ -274,8 +277,7 @@ class Engine {
     const key = JSON.stringify([shape, lights.map((l) => l.direction)]);
     if (shadows.key === key) return;
     shadows.key = key;
-    const at = this.use(this.filling);
-    gl.uniform1i(at("shape"), SHAPES.indexOf(shape));
+    const at = this.use(this.filling[MESHES.indexOf(shape)]);
     gl.enable(gl.DEPTH_TEST);
     gl.depthFunc(gl.LESS);
     gl.depthMask(true);
@@ -293,15 +295,15 @@ class Engine {
   // Draws a scene, or the answers to queries, into a target; false while the program is made.
   draw(target, scene, wait = false) {
     const { gl, data } = this;
-    const made = this.ready(scene.mode, wait);
-    if (!made) return false;
     const { width, height } = target;
     const shape = scene.queries ? QUERIES : SHAPES.indexOf(scene.shape);
-    const mesh = shape === 2 || shape === 3;
+    const made = this.ready(scene.mode, shape, scene.view ?? VIEWS.material, wait);
+    if (!made) return false;
+    const mesh = MESHES.includes(shape);
     const lights = scene.queries ? [{ direction: [0, 0, 1], irradiance: [1, 1, 1] }] : scene.lights;
     const matrices = lights.map((l) => parallel(l.direction, 1.35));
     const shaded = mesh && scene.view !== VIEWS.levels;
-    if (shaded) this.shade(scene.shape, lights, matrices);
+    if (shaded) this.shade(shape, lights, matrices);
     const camera = scene.queries ? null : axes(scene.camera, width, height);
     const jitter = scene.jitter ?? [0, 0];
     const projection = mesh ? perspective(camera, [(-2 * jitter[0]) / width, (-2 * jitter[1]) / height]) : null;
@@ -312,8 +314,7 @@ class Engine {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     if (mesh) {
       // Depth first: every pixel asks the material once.
-      const at = this.use(this.filling);
-      gl.uniform1i(at("shape"), shape);
+      const at = this.use(this.filling[MESHES.indexOf(shape)]);
       gl.uniformMatrix4fv(at("projection"), false, projection);
       gl.enable(gl.DEPTH_TEST);
       gl.depthFunc(gl.LESS);
@@ -333,10 +334,7 @@ class Engine {
     const [first, second] = scene.queries ?? [null, null];
     this.bind(3, gl.TEXTURE_2D, first, at("queries_u_wi"));
     this.bind(4, gl.TEXTURE_2D, second, at("queries_wo_level"));
-    gl.uniform1i(at("shape"), shape);
-    gl.uniform1i(at("view"), scene.view ?? VIEWS.material);
     gl.uniform1i(at("cosine"), data.cosine ? 1 : 0);
-    gl.uniform1i(at("shaded"), shaded ? 1 : 0);
     gl.uniform1i(at("lights"), lights.length);
     gl.uniform3fv(at("light"), lights.flatMap((l) => unit(l.direction)));
     gl.uniform3fv(at("irradiance"), lights.flatMap((l) => l.irradiance));
@@ -367,7 +365,6 @@ class Engine {
     const at = this.use(this.blending);
     gl.bindFramebuffer(gl.FRAMEBUFFER, after.frame);
     gl.viewport(0, 0, width, height);
-    gl.uniform1i(at("shape"), QUERIES);
     this.bind(0, gl.TEXTURE_2D, before.texture, at("before"));
     this.bind(1, gl.TEXTURE_2D, fresh.texture, at("fresh"));
     gl.uniform1f(at("share"), 1 / (count + 1));
@@ -382,7 +379,6 @@ class Engine {
     const at = this.use(this.presenting);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(...place);
-    gl.uniform1i(at("shape"), QUERIES);
     gl.uniform1i(at("view"), view);
     gl.uniform1i(at("bottom_up"), view === VIEWS.material || view === VIEWS.levels ? 1 : 0);
     gl.uniform4f(at("window"), ...place);

@@ -176,9 +176,10 @@
       gl.deleteSync(pace.fence);
       pace.fence = null;
       pace.ms = performance.now() - pace.started;
-      // A mode's first frame includes what the driver still compiles.
-      if (pace.warm === state.mode) adapt();
-      pace.warm = state.mode;
+      // The first frame of a mode and shape includes what the driver still compiles.
+      const kind = state.mode + state.shape;
+      if (pace.warm === kind) adapt();
+      pace.warm = kind;
       report();
     }
     if (state.show === "error") return compare();
@@ -220,7 +221,7 @@
     const four = new Float32Array(4 * width * height).fill(1);
     for (let i = 0; i < width * height; i++) four.set(rgb.subarray(3 * i, 3 * i + 3), 4 * i);
     const picture = { texture: engine.values(width, height, four), width, height };
-    reference = { width, height, rgb, picture, asked: engine.ask(queries, width), drawn: "", biased: 0, queries };
+    reference = { width, height, rgb, picture, asked: engine.ask(queries, width), drawn: "" };
   }
   const PANELS = ["Reference", "Answer", "Difference"];
   function compare(wait = false) {
@@ -542,6 +543,8 @@
         }),
       // Answers to queries: u, wi, wo flat pairs, level flat.
       answer: (queries, mode = "exact") => engine.answer(queries, mode),
+      // Milliseconds of a frame of 256 x 256 pixels, all of the plane.
+      time: (mode = "exact") => timed(engine, mode),
       selftest: (tolerance) => selftest(engine, data, numbers, tolerance),
     };
     canvas.addEventListener("webglcontextlost", (event) => {

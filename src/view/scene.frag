@@ -1,5 +1,5 @@
 const int MOST_LIGHTS = 8;
-const int MATERIAL = 0, LEVELS = 1;
+const int LEVELS = 1, view = VIEW;
 in vec2 st;
 layout(location = 0) out vec4 colour;
 // right and up reach from the middle of the picture to its edges at depth 1; pitch is a pixel's side there.
@@ -7,9 +7,9 @@ uniform vec3 eye, forward, right, up;
 uniform float pitch;
 uniform vec2 size, jitter, tiling;
 uniform float texels, bias;
-uniform int view, lights;
+uniform int lights;
 uniform vec3 light[MOST_LIGHTS], irradiance[MOST_LIGHTS];
-uniform bool cosine, shaded;
+uniform bool cosine;
 uniform mat4 shadow[MOST_LIGHTS];
 uniform highp sampler2DArrayShadow shadows;
 uniform highp sampler2D queries_u_wi, queries_wo_level;
@@ -52,7 +52,7 @@ Hit hit_mesh() {
 
 // Share of light k that arrives: four taps of a map that compares and filters.
 float lit(int k, vec3 p, vec3 n) {
-  if (!shaded) return 1.0;
+  if (shape != TORUS && shape != CLOTH) return 1.0;
   vec3 at = (shadow[k] * vec4(p + 0.012 * n, 1.0)).xyz * 0.5 + 0.5;
   float side = 1.0 / float(textureSize(shadows, 0).x), sum = 0.0;
   for (int i = 0; i < 4; i++) {

@@ -1,7 +1,8 @@
 // Shapes with parameters s in [0, 1]^2; the two that a ray meets in closed form are in scene.frag.
 const int PLANE = 0, SPHERE = 1, TORUS = 2, CLOTH = 3, QUERIES = 4;
 const float PI = 3.14159265358979;
-uniform int shape;
+// A program a shape: some devices execute every branch.
+const int shape = SHAPE;
 
 const float RING = 0.72, TUBE = 0.32;
 vec3 torus(vec2 s) {
