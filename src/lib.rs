@@ -24,7 +24,7 @@
 //!   │
 //! reproduce, results, chart ─ the paper's questions, what came of them, speed against accuracy
 //!   │
-//! report, cli, neumip-export ─ pages, commands, ONNX and textures for other renderers
+//! report, view, cli, neumip-export ─ pages, a bundle's viewer, commands, ONNX and textures for other renderers
 //! ```
 
 pub mod analytic;
@@ -54,6 +54,7 @@ pub mod reproduce;
 pub mod results;
 pub mod srgb;
 pub mod trainer;
+pub mod view;
 
 pub use error::{Error, Result};
 pub use neumip_export as export;

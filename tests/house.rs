@@ -54,6 +54,7 @@ const FLOW: [(&str, &[&str]); 27] = [
     ("results", &["export"]),
     ("chart", &["results", "report"]),
     ("report", &["query", "metrics", "srgb"]),
+    ("view", &["query", "report", "export"]),
     (
         "reproduce",
         &[
@@ -87,6 +88,7 @@ const EVERYTHING: &[&str] = &[
     "results",
     "reproduce",
     "chart",
+    "view",
     "export",
 ];
 /// What every module may import but those of [`BARE`].

@@ -24,3 +24,4 @@ mod reference;
 mod reproducing;
 mod surfaces;
 mod training;
+mod viewer;

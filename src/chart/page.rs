@@ -7,6 +7,7 @@ use super::points::{Group, Variant};
 use super::scene::escaped;
 use super::{Chart, Settings, caption};
 use crate::error::{Error, Result};
+use crate::report::{filled, inert};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -96,7 +97,6 @@ pub(super) fn html(chart: &Chart) -> Result<String> {
     let (style, script, data) = (include_str!("page.css"), include_str!("page.js"), inert(&data));
     let body = include_str!("page.html");
     let generator = escaped(&chart.generator);
-    // In one pass: what is put in for one name is not searched for the next one.
     let parts = [
         ("TITLE", title.as_str()),
         ("STYLE", style),
@@ -105,20 +105,7 @@ pub(super) fn html(chart: &Chart) -> Result<String> {
         ("DATA", &data),
         ("SCRIPT", script),
     ];
-    let mut out = String::new();
-    let mut pieces = body.split("{{");
-    out += pieces.next().unwrap_or_default();
-    for piece in pieces {
-        let (name, rest) = piece.split_once("}}").unwrap_or(("", piece));
-        out += parts.iter().find(|(known, _)| *known == name).map_or("", |(_, text)| text);
-        out += rest;
-    }
-    Ok(out)
-}
-
-/// JSON as it may stand in a script element: nothing in it ends the element or begins a comment.
-fn inert(json: &str) -> String {
-    json.replace('<', "\\u003c").replace('>', "\\u003e").replace('&', "\\u0026")
+    Ok(filled(body, &parts))
 }
 
 fn page<'a>(chart: &'a Chart, cost: &'a str) -> Page<'a> {

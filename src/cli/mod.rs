@@ -12,6 +12,7 @@ mod look;
 mod reproduce;
 mod surface;
 mod train;
+mod view;
 
 use crate::error::{Error, Result};
 use clap::{Parser, Subcommand};
@@ -46,6 +47,8 @@ enum Command {
     Evaluate(evaluate::Evaluate),
     /// Write what another renderer needs.
     Export(export::Export),
+    /// Make a page that shows a bundle's material in a browser.
+    View(view::View),
     /// Ask the paper's questions again: tables, ablation, Inception decoder, speed against accuracy.
     Reproduce(reproduce::Reproduce),
     /// Chart error against time and bytes over all results found.
@@ -71,6 +74,7 @@ impl Cli {
             Command::Train(command) => command.run(&console),
             Command::Evaluate(command) => command.run(&console),
             Command::Export(command) => command.run(&console),
+            Command::View(command) => command.run(&console),
             Command::Reproduce(command) => command.run(&console),
             Command::Chart(command) => command.run(&console),
             Command::Bench(command) => command.run(&console),

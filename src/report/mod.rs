@@ -12,7 +12,7 @@ pub mod picture;
 #[cfg(test)]
 mod tests;
 
-pub use page::escaped;
+pub use page::{escaped, filled, inert};
 pub use panel::Panel;
 
 use crate::error::{Error, Result};

@@ -42,6 +42,25 @@ pub fn escaped(text: &str) -> String {
     out
 }
 
+/// JSON as it may stand in a script element: nothing in it ends the element or begins a comment.
+pub fn inert(json: &str) -> String {
+    json.replace('<', "\\u003c").replace('>', "\\u003e").replace('&', "\\u0026")
+}
+
+/// A template with each `{{NAME}}` replaced by its part, in one pass: what is put in for one name is not searched for the
+/// next one. A name without a part becomes nothing.
+pub fn filled(template: &str, parts: &[(&str, &str)]) -> String {
+    let mut out = String::new();
+    let mut pieces = template.split("{{");
+    out += pieces.next().unwrap_or_default();
+    for piece in pieces {
+        let (name, rest) = piece.split_once("}}").unwrap_or(("", piece));
+        out += parts.iter().find(|(known, _)| *known == name).map_or("", |(_, text)| text);
+        out += rest;
+    }
+    out
+}
+
 fn head(report: &Report) -> String {
     let mut out = format!("<h1>{}</h1>\n", escaped(&report.title));
     if !report.verdict.is_empty() {

@@ -22,7 +22,7 @@ use crate::weights::Layout;
 use serde::{Deserialize, Serialize};
 
 /// Most weights that are written into a source: a megabyte of text.
-const MOST_LITERALS: usize = 1 << 16;
+pub const MOST_LITERALS: usize = 1 << 16;
 
 /// The language of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -1,5 +1,6 @@
 //! What the export promises, a file a promise.
 
+mod browser;
 mod bundles;
 mod checkpoints;
 mod graphs;

@@ -136,7 +136,7 @@ fn with_glslang(programs: &[Program], folder: &Path) -> Result<(), String> {
         if programs.len() > 1 {
             return programs.chunks(1).try_for_each(|one| with_glslang(one, folder));
         }
-        command.args(["-D", "-V", "-e", "main", "-o"]).arg(folder.join("code.spv"));
+        command.args(["-D", "-V", "-Od", "-e", "main", "-o"]).arg(folder.join("code.spv"));
     }
     for (k, program) in programs.iter().enumerate() {
         let path = folder.join(format!("{k}.frag"));
