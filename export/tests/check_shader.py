@@ -4,7 +4,7 @@
 
 A SOURCE is an .es.glsl file in its bundle (or of the bundle that is named), with weights-f32.bin beside it where it binds
 weights; one whose name starts with `fast` is given half-float textures and the hardware's filter. SOURCE@FILE asks its sampler
-instead: FILE, in the bundle, is a JSON object with u, level, wo, xi [x, y, z] and drawn [x, y, z, pdf]. For every source, the
+instead: FILE, in the bundle, is a JSON object with u, level, wo, xi [x, y] and drawn [x, y, z, pdf]. For every source, the
 largest and the mean |difference| / (1 + |value|) are printed.
 Exits with 1 where there was no answer, with 3 where there is no browser. The standard library only.
 """
@@ -31,7 +31,7 @@ PATIENCE = 300
 # Queries in a row of the picture that is drawn.
 SIDE = 32
 EVALUATE = "answer = vec4(neumip_evaluate(neumip_prepare(a.xy, a.z, b.zw), b.xy), 1.0);"
-SAMPLE = "answer = neumip_sample(neumip_lobes(neumip_prepare(a.xy, a.z, b.zw)), vec3(b.xy, a.w));"
+SAMPLE = "answer = neumip_sample(neumip_lobes(neumip_prepare(a.xy, a.z, b.zw)), b.xy);"
 
 
 def read_safetensors(path):
@@ -72,11 +72,10 @@ def job(source, tensors, queries):
     """What the page needs to run one source."""
     levels = sum(name.startswith("texture.level") for name in tensors)
     asked = queries.get("xi")
-    lights = [x[:2] for x in asked] if asked else queries["wi"]
-    last = [x[2] for x in asked] if asked else [0.0] * len(lights)
+    lights = asked or queries["wi"]
     rows = -(-len(lights) // SIDE)
     rest = [0.0] * 4 * (rows * SIDE - len(lights))
-    first = [v for u, level, x in zip(queries["u"], queries["level"], last) for v in (*u, level, x)]
+    first = [v for u, level in zip(queries["u"], queries["level"]) for v in (*u, level, 0.0)]
     second = [v for wi, wo in zip(lights, queries["wo"]) for v in (*wi, *wo)]
     text = source.read_text()
     weights = source.with_name("weights-f32.bin").read_bytes() if "neumip_weights" in text else b""

@@ -62,7 +62,7 @@ pub fn comment(w: &mut Writer, material: &Material, layout: &Layout) {
             None => "",
             Some(_) =>
                 "NeumipLobes lobes = neumip_lobes(q);               where directions are to be drawn\n\
-                 vec4 drawn = neumip_sample(lobes, xi);             wi (x, y, z) and its density; xi: three uniform numbers\n\
+                 vec4 drawn = neumip_sample(lobes, xi);             wi (x, y, z) and its density; xi: two uniform numbers\n\
                  float pdf = neumip_pdf(lobes, wi);                 of any unit vector wi (x, y, z)\n",
         },
         finest = format_args!("{} x {}", architecture.resolution[0], architecture.resolution[1]),

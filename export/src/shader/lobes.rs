@@ -7,8 +7,8 @@ use crate::sampler::{
 };
 use crate::weights::{Layer, Layout};
 
-/// Least squared z of a cosine-distributed direction: a draw of exactly 1 would lie on the horizon.
-const LEAST_SQUARE: f32 = 1e-7;
+/// Least squared z of a cosine-distributed direction, 2^-24: a draw of exactly 1 would lie on the horizon.
+const LEAST_SQUARE: f32 = f32::EPSILON / 2.0;
 
 pub fn functions(w: &mut Writer, sampler: &SamplerConfig, layout: &Layout) {
     let layers: Vec<&Layer> = layout.network(SAMPLER_MLP).collect();
@@ -54,8 +54,6 @@ fn lobes(w: &mut Writer, sampler: &SamplerConfig, layers: &[&Layer]) {
     if sampler.lobes.contains(&Frame::Mirror) {
         w.declare(of, "wo_z", "sqrt(max(0.0, 1.0 - dot(prepared.wo, prepared.wo)))");
         w.declare(Float(2), "mirror", &format!("-prepared.wo / max(wo_z, {})", number(sampler.min_z)));
-        w.declare(of, "stretch", "sqrt(1.0 + dot(mirror, mirror))");
-        w.declare(Float(2), "along", "mirror / (1.0 + stretch)");
     }
     let mut largest = "0.0".to_string();
     for k in 0..sampler.lobes.len() {
@@ -92,21 +90,18 @@ fn lobes(w: &mut Writer, sampler: &SamplerConfig, layers: &[&Layer]) {
                 w.line(format!("lobes.centre{k} = c{k};"));
             }
             Frame::Mirror => {
-                // T v = stretch (v + mirror (along . v)), for the columns of L and for the centre.
-                w.declare(
-                    Float(2),
-                    &format!("image{k}"),
-                    &format!("stretch * (left{k} + mirror * dot(along, left{k}))"),
-                );
+                // T v = v + mirror (mirror . v), for the columns of L and for the centre.
+                let image = format!("left{k} + mirror * dot(mirror, left{k})");
+                w.declare(Float(2), &format!("image{k}"), &image);
                 let unit = w.make(Float(2), "0.0, 1.0");
                 w.declare(
                     Float(2),
                     &format!("other{k}"),
-                    &format!("(stretch * right{k}) * ({unit} + mirror * along.y)"),
+                    &format!("right{k} * ({unit} + mirror * mirror.y)"),
                 );
                 let map = w.make(Float(4), &format!("image{k}.x, other{k}.x, image{k}.y, other{k}.y"));
                 w.line(format!("lobes.map{k} = {map};"));
-                w.line(format!("lobes.centre{k} = mirror + stretch * (c{k} + mirror * dot(along, c{k}));"));
+                w.line(format!("lobes.centre{k} = mirror + c{k} + mirror * dot(mirror, c{k});"));
             }
         }
     }
@@ -142,29 +137,41 @@ fn density(w: &mut Writer, count: usize) {
 }
 
 fn sample(w: &mut Writer, count: usize) {
-    w.comment("A direction wi (x, y, z) and its density (w) from three uniform numbers in [0, 1): the first chooses the lobe.");
-    let parameters = [(Struct("NeumipLobes"), "lobes".into()), (Float(3), "xi".into())];
+    w.comment(
+        "A direction wi (x, y, z) and its density (w) from two uniform numbers in [0, 1): the first chooses the lobe and, by \
+         what is left of it, an angle; the second a length.",
+    );
+    let parameters = [(Struct("NeumipLobes"), "lobes".into()), (Float(2), "xi".into())];
     w.function(Float(4), "neumip_sample", &parameters, |w| {
-        let mut bound = "lobes.cosine".to_string();
-        let mut bounds = Vec::new();
+        let weight = |k: usize| match k {
+            0 => "lobes.cosine".to_string(),
+            _ => format!("lobes.weight{}", k - 1),
+        };
+        w.declare(Float(1), "rest0", "xi.x");
         for k in 0..count {
-            bounds.push(bound.clone());
-            bound += &format!(" + lobes.weight{k}");
+            w.declare(Float(1), &format!("rest{}", k + 1), &format!("rest{k} - {}", weight(k)));
         }
-        let (mut map, mut centre) = (format!("lobes.map{}", count - 1), format!("lobes.centre{}", count - 1));
+        let mut map = format!("lobes.map{}", count - 1);
+        let mut centre = format!("lobes.centre{}", count - 1);
+        let (mut rest, mut share) = (format!("rest{count}"), weight(count));
         for k in (0..count).rev() {
             let (map_before, centre_before) = match k {
                 0 => (w.make(Float(4), "1.0, 0.0, 0.0, 1.0"), w.make(Float(2), "0.0, 0.0")),
                 _ => (format!("lobes.map{}", k - 1), format!("lobes.centre{}", k - 1)),
             };
-            let condition = format!("xi.x < {}", bounds[k]);
+            let condition = format!("rest{k} < {}", weight(k));
             map = w.choose(&condition, &map_before, &map);
             centre = w.choose(&condition, &centre_before, &centre);
+            rest = w.choose(&condition, &format!("rest{k}"), &rest);
+            share = w.choose(&condition, &weight(k), &share);
         }
         w.declare(Float(4), "map", &map);
         w.declare(Float(2), "centre", &centre);
+        w.declare(Float(1), "rest", &rest);
+        w.declare(Float(1), "share", &share);
+        w.declare(Float(1), "part", "min(rest / share, 1.0)");
         w.comment("A point of the unit disc and its height on the hemisphere.");
-        w.declare(Float(1), "turn", "2.0 * (xi.z - step(0.5, xi.z))");
+        w.declare(Float(1), "turn", "2.0 * (part - step(0.5, part))");
         let circle = w.make(Float(2), "neumip_cos_pi1(turn), neumip_sin_pi1(turn)");
         w.declare(Float(2), "disc", &format!("sqrt(xi.y) * {circle}"));
         w.declare(Float(1), "z", &format!("sqrt(max(1.0 - xi.y, {}))", number(LEAST_SQUARE)));

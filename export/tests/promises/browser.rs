@@ -1,14 +1,14 @@
 //! What the WebGL sources answer, in a browser: every kind of material and its sampler against 64-bit floats, and a trained
 //! material in both modes. Without Chromium or Python the comparison is skipped, and says so.
 
+use super::lobes::{density, lobes, sample, sampler};
 use super::materials::{Numbers, cases, checkpoint, queries};
 use super::plain;
 use neumip_export::config::{DecoderConfig, ParallaxConfig};
-use neumip_export::sampler::{FORMAT, Frame, SAMPLER_MLP, SamplerHeader};
+use neumip_export::sampler::Frame;
 use neumip_export::shader::{Language, Material, Mode, file_name, files, source};
 use neumip_export::weights::{Layout, SINGLE, single_bytes};
-use neumip_export::{Checkpoint, Golden, Sampler, SamplerConfig, Tensor};
-use std::f64::consts::PI;
+use neumip_export::{Checkpoint, Golden, Sampler};
 use std::path::Path;
 use std::process::Command;
 
@@ -62,97 +62,23 @@ fn write(folder: &Path, checkpoint: &Checkpoint, sampler: Option<&Sampler>) {
     }
 }
 
-fn sampler(features: usize, lobes: &[Frame], seed: u64) -> Sampler {
-    let config =
-        SamplerConfig { features, hidden: vec![9, 8], lobes: lobes.to_vec(), cosine_floor: 0.1, min_z: 0.1 };
-    let mut numbers = Numbers::new(seed);
-    let tensors = config.tensors().into_iter().map(|(name, shape)| {
-        let data = (0..shape.iter().product()).map(|_| numbers.between(-0.6, 0.6)).collect();
-        (name, Tensor { shape, data })
-    });
-    let tensors = tensors.collect();
-    Sampler { header: SamplerHeader { format: FORMAT, config, provenance: serde_json::Value::Null }, tensors }
-}
-
 /// The queries with random numbers, and the directions and densities that come of them.
 fn drawn(checkpoint: &Checkpoint, sampler: &Sampler, golden: &Golden) -> String {
     let mut numbers = Numbers::new(11);
-    let xi: Vec<[f32; 3]> = (0..QUERIES).map(|_| [0; 3].map(|_| numbers.uniform())).collect();
+    let xi: Vec<[f32; 2]> = (0..QUERIES).map(|_| [0; 2].map(|_| numbers.uniform())).collect();
     let answers: Vec<[f64; 4]> = (0..QUERIES)
         .map(|k| {
-            // Below the horizon nothing is drawn, and features are of no use there.
-            let lobes = lobes(checkpoint, sampler, golden.u[k], golden.wo[k], golden.level[k]);
-            sampled(&lobes, xi[k].map(f64::from))
+            let mut features = plain::features(checkpoint, golden.u[k], golden.wo[k], golden.level[k]);
+            features.truncate(sampler.header.config.features);
+            let lobes = lobes(sampler, &features, golden.wo[k]);
+            let wi = sample(&lobes, xi[k]);
+            [wi[0], wi[1], wi[2], density(&lobes, wi)]
         })
         .collect();
     let json = serde_json::json!({
         "u": golden.u, "level": golden.level, "wo": golden.wo, "xi": xi, "drawn": answers
     });
     json.to_string()
-}
-
-/// One lobe: weight, matrix, centre.
-struct Lobe(f64, [[f64; 2]; 2], [f64; 2]);
-
-fn lobes(checkpoint: &Checkpoint, sampler: &Sampler, u: [f32; 2], wo: [f32; 2], level: f32) -> Vec<Lobe> {
-    let config = &sampler.header.config;
-    let mut x = plain::features(checkpoint, u, wo, level);
-    x.truncate(config.features);
-    x.extend(wo.map(f64::from));
-    let layers = config.hidden.len() + 1;
-    for layer in 0..layers {
-        let weight = &sampler.tensors[&format!("{SAMPLER_MLP}.{layer}.weight")];
-        let bias = &sampler.tensors[&format!("{SAMPLER_MLP}.{layer}.bias")];
-        let rows = weight.data.chunks(weight.shape[1]).zip(&bias.data);
-        let sums = rows.map(|(row, bias)| {
-            f64::from(*bias) + row.iter().zip(&x).map(|(w, x)| f64::from(*w) * x).sum::<f64>()
-        });
-        x = sums.map(|v| if layer + 1 < layers { v.max(0.0) } else { v }).collect();
-    }
-    let wo = wo.map(f64::from);
-    let z = (1.0 - wo[0] * wo[0] - wo[1] * wo[1]).max(0.0).sqrt().max(f64::from(config.min_z));
-    let m = wo.map(|w| -w / z);
-    let g = (1.0 + m[0] * m[0] + m[1] * m[1]).sqrt();
-    let t = [0, 1].map(|i| [0, 1].map(|j| g * (f64::from(u8::from(i == j)) + m[i] * m[j] / (1.0 + g))));
-    let logits: Vec<f64> = x.chunks(6).map(|o| o[0].clamp(-20.0, 20.0).exp()).collect();
-    let total = 1.0 + logits.iter().sum::<f64>();
-    let floor = f64::from(config.cosine_floor);
-    let mut lobes = vec![Lobe(floor + (1.0 - floor) / total, [[1.0, 0.0], [0.0, 1.0]], [0.0; 2])];
-    for (k, o) in x.chunks(6).enumerate() {
-        let c = [o[1].clamp(-8.0, 8.0), o[2].clamp(-8.0, 8.0)];
-        let (p, r, q) = (o[3].clamp(-6.0, 2.0), o[4].clamp(-4.0, 4.0), o[5].clamp(-6.0, 2.0));
-        let l = [[p.exp(), 0.0], [r * p.exp(), q.exp()]];
-        let (a, b) = match config.lobes[k] {
-            Frame::Surface => (l, c),
-            Frame::Mirror => (
-                [0, 1].map(|i| [0, 1].map(|j| t[i][0] * l[0][j] + t[i][1] * l[1][j])),
-                [0, 1].map(|i| m[i] + t[i][0] * c[0] + t[i][1] * c[1]),
-            ),
-        };
-        lobes.push(Lobe((1.0 - floor) * logits[k] / total, a, b));
-    }
-    lobes
-}
-
-fn sampled(lobes: &[Lobe], xi: [f64; 3]) -> [f64; 4] {
-    let mut rest = xi[0];
-    let chosen = lobes.iter().position(|lobe| {
-        rest -= lobe.0;
-        rest < 0.0
-    });
-    let Lobe(_, a, b) = &lobes[chosen.unwrap_or(lobes.len() - 1)];
-    let radius = xi[1].sqrt() / (1.0 - xi[1]).sqrt();
-    let t = [radius * (2.0 * PI * xi[2]).cos(), radius * (2.0 * PI * xi[2]).sin()];
-    let s = [0, 1].map(|i| a[i][0] * t[0] + a[i][1] * t[1] + b[i]);
-    let length = (1.0 + s[0] * s[0] + s[1] * s[1]).sqrt();
-    let (x, y, z) = (s[0] / length, s[1] / length, 1.0 / length);
-    let density = lobes.iter().map(|Lobe(weight, a, b)| {
-        let det = a[0][0] * a[1][1] - a[0][1] * a[1][0];
-        let d = [x - b[0] * z, y - b[1] * z];
-        let v = [(a[1][1] * d[0] - a[0][1] * d[1]) / det, (a[0][0] * d[1] - a[1][0] * d[0]) / det];
-        weight * z / (PI * det.abs() * (z * z + v[0] * v[0] + v[1] * v[1]).powi(2))
-    });
-    [x, y, z, density.sum()]
 }
 
 /// Writes all kinds of materials and adds their sources.

@@ -4,6 +4,7 @@ mod browser;
 mod bundles;
 mod checkpoints;
 mod graphs;
+mod lobes;
 mod materials;
 mod plain;
 mod precision;

@@ -25,15 +25,15 @@ fn program(name: &str, material: &Material, language: Language, mode: Mode) -> P
     let call = match (language, material.sampler) {
         (_, None) => "",
         (Language::Wgsl, Some(_)) => {
-            "let lobes = neumip_lobes(q); let drawn = neumip_sample(lobes, vec3<f32>(l, wi)); \
+            "let lobes = neumip_lobes(q); let drawn = neumip_sample(lobes, wi); \
              rgb += vec3<f32>(drawn.w + neumip_pdf(lobes, drawn.xyz));"
         }
         (Language::Hlsl, Some(_)) => {
-            "NeumipLobes lobes = neumip_lobes(q); float4 drawn = neumip_sample(lobes, float3(l, wi)); \
+            "NeumipLobes lobes = neumip_lobes(q); float4 drawn = neumip_sample(lobes, wi); \
              rgb += drawn.w + neumip_pdf(lobes, drawn.xyz);"
         }
         (_, Some(_)) => {
-            "NeumipLobes lobes = neumip_lobes(q); vec4 drawn = neumip_sample(lobes, vec3(l, wi)); \
+            "NeumipLobes lobes = neumip_lobes(q); vec4 drawn = neumip_sample(lobes, wi); \
              rgb += drawn.w + neumip_pdf(lobes, drawn.xyz);"
         }
     };
