@@ -93,6 +93,7 @@ impl<'a> Writer<'a> {
     pub fn splat(&self, of: Type, value: &str) -> String {
         match (of, self.language) {
             (Float(1) | Int(1), _) => value.into(),
+            (Half(_), Language::Hlsl) if !self.is_exact() => format!("({}){value}", self.name(of)),
             (Float(n) | Half(n) | Int(n), Language::Hlsl) => self.make(of, &vec![value; n].join(", ")),
             _ => self.make(of, value),
         }
@@ -285,7 +286,7 @@ mod tests {
             "mediump vec3 x = vec3(0.0);\n",
             "vec3 x = vec3(0.0);\n",
             "let x = NeumipHalf3(0.0);\n",
-            "NeumipHalf3 x = NeumipHalf3(0.0, 0.0, 0.0);\n",
+            "NeumipHalf3 x = (NeumipHalf3)0.0;\n",
         ];
         assert_eq!(spelled, expected);
     }
