@@ -6,20 +6,26 @@
 //! wi = (x, y, z), slope s = (x, y) / z, matrix A (2 x 2) and centre b:
 //!
 //! - sample: t is the slope of a cosine-distributed direction; s = A t + b; wi = normalize(s, 1);
-//! - density over solid angle: z / (pi |det A| (z^2 + |v|^2)^2), v = A^-1 ((x, y) - b z).
+//! - density over solid angle: z / (pi |det A| (z^2 + |v|^2)^2), v = A^-1 ((x, y) - b z); 0 where z <= 0.
 //!
 //! A = identity and b = 0 is the cosine lobe, z / pi. The network reads \[features, wo.x, wo.y\], where features are the
 //! texture pyramid's at the position after parallax, and gives [`OUTPUTS_PER_LOBE`] values for each lobe: logit, c.x, c.y,
 //! p, r, q, clamped to [`LOGITS`], [`CENTRES`], [`LOG_SCALES`] (p and q) and [`SHEARS`] (r). They mean
 //! L = \[\[e^p, 0\], \[r e^p, e^q\]\] and, by the lobe's [`Frame`],
 //!
-//! - `surface`: A = L, b = c;
-//! - `mirror`: m = -wo.xy / max(wo.z, min_z), g = sqrt(1 + |m|^2), T = g (I + m m^T / (1 + g)), A = T L, b = m + T c:
-//!   to first order the image of a lobe of facets around the normal.
+//! - `surface`: A = L, b = c; det A = e^(p + q);
+//! - `mirror`: m = -wo.xy / max(wo.z, min_z), T = I + m m^T, A = T L, b = m + T c; det A = (1 + |m|^2) e^(p + q). To first
+//!   order 2 T h + m is the slope of the light that a facet of slope h reflects to wo; T^-1 = I - m m^T / (1 + |m|^2).
 //!
 //! The weights of the lobes and of a plain cosine lobe, which comes first, are the softmax of (0, logits...), then
 //! w_k (1 - cosine_floor), and cosine_floor more for the cosine: a value is at most 1 / cosine_floor times as noisy as by
 //! cosine sampling.
+//!
+//! Two numbers xi in \[0, 1) choose a direction. The first chooses the lobe: rest = xi.x; while rest >= w_k and there is a lobe
+//! after k, rest -= w_k and k is the next. What is left is the angle of t, phi = 2 pi min(rest / w_k, 1), and the second its
+//! length: t = sqrt(xi.y / (1 - xi.y)) (cos phi, sin phi), xi.y at most 1 - 2^-24. (The second, which nothing was taken from,
+//! keeps all its bits where a length is far out.) The density that goes with the direction is the mixture's, not the lobe's.
+//! A direction is three numbers: z = sqrt(1 - x^2 - y^2) loses what matters near the horizon.
 
 use crate::config::MAX_CHANNELS;
 use crate::error::{Error, Result};
@@ -41,8 +47,9 @@ pub const OUTPUTS_PER_LOBE: usize = 6;
 pub const LOGITS: [f32; 2] = [-20.0, 20.0];
 /// Bounds of both components of a centre.
 pub const CENTRES: [f32; 2] = [-8.0, 8.0];
-/// Bounds of the logarithms of a lobe's widths: a narrower one than 0.0025 is a mirror in 32-bit floats.
-pub const LOG_SCALES: [f32; 2] = [-6.0, 2.0];
+/// Bounds of the logarithms of a lobe's widths: of one narrower than 0.007 32-bit floats do not give the density to a
+/// thousandth.
+pub const LOG_SCALES: [f32; 2] = [-5.0, 2.0];
 /// Bounds of a lobe's shear.
 pub const SHEARS: [f32; 2] = [-4.0, 4.0];
 /// Most lobes besides the cosine.
@@ -56,7 +63,7 @@ const MAX_DEPTH: usize = 4;
 pub enum Frame {
     /// Around the normal.
     Surface,
-    /// Around the mirror direction of wo, stretched as a reflection is.
+    /// Around the mirror direction of wo, stretched as what facets around the normal reflect.
     Mirror,
 }
 
@@ -224,7 +231,7 @@ mod tests {
             hidden: vec![16, 16],
             lobes: vec![Frame::Surface, Frame::Mirror],
             cosine_floor: 0.1,
-            min_z: 0.1,
+            min_z: 0.2,
         };
         let filled = |shape: Vec<usize>| Tensor { data: vec![0.25; shape.iter().product()], shape };
         let tensors = config.tensors().into_iter().map(|(name, shape)| (name, filled(shape))).collect();

@@ -125,11 +125,7 @@ impl FusedMaterial {
     /// # Errors
     /// `Config` if the slices differ in length or a value is not finite, or if the decoder reads neighbours.
     pub fn prepare(&self, u: &[[f32; 2]], level: &[f32], wo: &[[f32; 2]]) -> Result<Prepared> {
-        if self.networks.inception.is_some() {
-            return Err(Error::config("decoder.kind", "inception answers images, not queries one by one"));
-        }
-        let light = vec![[0.0; 2]; u.len()];
-        let queries = QueryBuffer::new(1, u.len(), u.to_vec(), light, wo.to_vec(), level.to_vec())?;
+        let queries = self.viewed(u, level, wo)?;
         let textures = self.textures();
         let wide = TILE * self.networks.first_outputs();
         let mut sums = vec![0.0; u.len().div_ceil(TILE) * wide];
@@ -147,6 +143,41 @@ impl FusedMaterial {
             outputs: self.networks.first_outputs(),
             visible: wo.iter().map(|w| above_horizon(*w)).collect(),
         })
+    }
+
+    /// The features that the decoder reads for queries at positions `u` and `level`, seen from `wo`: the texture pyramid's
+    /// channels at the positions after parallax, \[queries\]\[channels\].
+    ///
+    /// # Errors
+    /// `Config` if the slices differ in length or a value is not finite, or if the decoder reads neighbours.
+    pub fn features(&self, u: &[[f32; 2]], level: &[f32], wo: &[[f32; 2]]) -> Result<Vec<f32>> {
+        let queries = self.viewed(u, level, wo)?;
+        let textures = self.textures();
+        let channels = self.plan.channels();
+        let mut features = vec![0.0; u.len() * channels];
+        let chunks = features.par_chunks_mut(CHUNK * channels).enumerate();
+        chunks.for_each_init(Tile::default, |tile, (chunk, out)| {
+            for (part, out) in out.chunks_mut(TILE * channels).enumerate() {
+                let at = chunk * CHUNK + part * TILE;
+                self.load(tile, &queries, at, at + out.len() / channels);
+                tile.view(&self.plan, &self.networks, &textures, false);
+                for (k, features) in out.chunks_exact_mut(channels).enumerate() {
+                    for (to, row) in features.iter_mut().zip(tile.input.chunks(tile.stride)) {
+                        *to = row[k];
+                    }
+                }
+            }
+        });
+        Ok(features)
+    }
+
+    /// Queries without their light, for a decoder that answers them one by one.
+    fn viewed(&self, u: &[[f32; 2]], level: &[f32], wo: &[[f32; 2]]) -> Result<QueryBuffer> {
+        if self.networks.inception.is_some() {
+            return Err(Error::config("decoder.kind", "inception answers images, not queries one by one"));
+        }
+        let light = vec![[0.0; 2]; u.len()];
+        QueryBuffer::new(1, u.len(), u.to_vec(), light, wo.to_vec(), level.to_vec())
     }
 
     /// Answers prepared queries under one light each: RGB as [`Reflectance::evaluate`] gives it.
