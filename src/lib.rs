@@ -20,6 +20,8 @@
 //!   │
 //! analytic ─ a material's own maps, marched and shaded: the rival that is not neural
 //!   │
+//! sampler ─ where the light of a query comes from: a mixture of lobes, fitted to the material's answers
+//!   │
 //! metrics, lpips (candle), evaluate, bench ─ errors by split and level, time per query, rates beside the machine's peak
 //!   │
 //! reproduce, results, chart ─ the paper's questions, what came of them, speed against accuracy
@@ -52,6 +54,7 @@ pub mod reference;
 pub mod report;
 pub mod reproduce;
 pub mod results;
+pub mod sampler;
 pub mod srgb;
 pub mod trainer;
 pub mod view;

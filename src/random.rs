@@ -20,6 +20,8 @@ pub enum Stream {
     Probe,
     /// Settings of tuning trials.
     Trials,
+    /// The importance sampler's conditions and directions.
+    Sampler,
 }
 
 /// PCG-XSH-RR 64/32 (O'Neill 2014), started from a hash of (seed, stream, index).

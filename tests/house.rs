@@ -7,7 +7,7 @@ use std::process::Command;
 
 /// What each module of `src/` may import besides itself and [`ANYWHERE`]. `export` is the exporter's crate but for its
 /// `config`, which is our `config`'s own ground. A module that is missing here fails.
-const FLOW: [(&str, &[&str]); 27] = [
+const FLOW: [(&str, &[&str]); 29] = [
     ("error", &["export"]),
     ("config", &[]),
     ("query", &["error"]),
@@ -50,6 +50,8 @@ const FLOW: [(&str, &[&str]); 27] = [
     ("onnx_material", &["query"]),
     ("golden", &["model", "query", "random", "export"]),
     ("artefacts", &["engine", "inference", "onnx_material", "query", "export"]),
+    // Golden samples are drawn where golden answers are.
+    ("sampler", &["query", "random", "kernels", "engine", "golden", "export"]),
     ("analytic", &["query", "random", "kernels", "reference"]),
     ("results", &["export"]),
     ("chart", &["results", "report"]),
@@ -87,6 +89,7 @@ const EVERYTHING: &[&str] = &[
     "report",
     "results",
     "reproduce",
+    "sampler",
     "chart",
     "view",
     "export",

@@ -266,7 +266,10 @@ fn read_json<T: serde::de::DeserializeOwned>(file: &Path) -> Result<T> {
 }
 
 /// True if `out` is a bundle to be replaced, false if nothing is there.
-fn may_replace(out: &Path, force: bool) -> Result<bool> {
+///
+/// # Errors
+/// `File`, naming the folder that is left alone, and why.
+pub fn may_replace(out: &Path, force: bool) -> Result<bool> {
     if out.file_name().is_none() {
         return Err(Error::file(out, "is not the name of a folder to write"));
     }

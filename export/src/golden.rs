@@ -52,22 +52,24 @@ impl Golden {
     }
 }
 
-/// What a sampler gives: from (u, wo, level) and xi to wi and its density, entry by entry. A density may be off by
-/// `tolerance` times itself, a component of wi by `tolerance`.
+/// What a sampler gives: queries, samples and densities, entry by entry. A reader is right if every component of its wi is
+/// within `tolerance` of the one here, and its density of the wi here within `pdf_tolerance` times the one here.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SamplerGolden {
-    /// Largest difference.
+    /// Largest difference of a component of wi.
     pub tolerance: f64,
-    /// Positions.
+    /// Largest difference of a density, relative to it.
+    pub pdf_tolerance: f64,
+    /// Positions, some far outside \[0, 1).
     pub u: Vec<[f32; 2]>,
-    /// View directions.
+    /// View directions above the horizon, some grazing.
     pub wo: Vec<[f32; 2]>,
-    /// Levels.
+    /// Levels, some below 0 or beyond the last.
     pub level: Vec<f32>,
-    /// Uniform numbers.
+    /// Two uniform numbers, some 0 or the last below 1.
     pub xi: Vec<[f32; 2]>,
-    /// Light directions, unit vectors.
+    /// The sampled directions to the light: unit vectors.
     pub wi: Vec<[f32; 3]>,
     /// Their densities over solid angle.
     pub pdf: Vec<f32>,
@@ -81,6 +83,10 @@ impl SamplerGolden {
     pub fn validate(&self) -> Result<()> {
         if !(self.tolerance.is_finite() && self.tolerance > 0.0) {
             return Err(Error::config("golden.tolerance", format!("{} must be positive", self.tolerance)));
+        }
+        if !(self.pdf_tolerance.is_finite() && self.pdf_tolerance > 0.0) {
+            let problem = format!("{} must be positive", self.pdf_tolerance);
+            return Err(Error::config("golden.pdf_tolerance", problem));
         }
         let n = self.u.len();
         if n == 0 {

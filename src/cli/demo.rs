@@ -128,7 +128,7 @@ impl Demo {
         console.say("[5/5] exporting");
         for model in &mut models {
             let out = self.out.join(format!("{}-bundle", model.name));
-            let bundle = export::bundle(&checkpoint::load(&model.run)?, &out, true)?;
+            let bundle = export::bundle(&checkpoint::load(&model.run)?, &out, true, console)?;
             console.say(format!(
                 "{}: graph within {:.1e} (1 + |value|) of the model",
                 out.display(),

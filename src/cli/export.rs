@@ -5,9 +5,10 @@ use crate::artefacts::{self, Artefact};
 use crate::error::{Error, Result};
 use crate::onnx_material::{OnnxMaterial, largest_difference};
 use crate::query::QueryBuffer;
+use crate::sampler::{self, Options, fit};
 use crate::{checkpoint, golden};
 use clap::Args;
-use neumip_export::bundle::{MATERIAL, SIDECAR};
+use neumip_export::bundle::{MATERIAL, SIDECAR, may_replace};
 use neumip_export::onnx::{self, Opset};
 use neumip_export::{
     BundleFile, Checkpoint, Contents, Golden, Rounding, Sampler, SamplerGolden, Storage, read_bundle,
@@ -39,9 +40,15 @@ pub struct Export {
     /// Operator set of the ONNX graphs: 13, 17 or 21.
     #[arg(long, default_value_t = 17)]
     opset: i64,
-    /// Put this importance sampler into the bundle.
+    /// Put this importance sampler of `neumip sampler` into the bundle; without it, one is fitted.
     #[arg(long)]
     sampler: Option<PathBuf>,
+    /// Steps of the fit.
+    #[arg(long, default_value_t = Options::default().steps, conflicts_with = "sampler")]
+    sampler_steps: u64,
+    /// Leave importance sampling out: renderers then sample the cosine.
+    #[arg(long, conflicts_with_all = ["sampler", "sampler_steps"])]
+    no_sampler: bool,
     /// Run the golden answers through everything in the bundle that can be run here.
     #[arg(long)]
     check: bool,
@@ -65,8 +72,16 @@ impl Export {
             return self.check_bundle(console);
         };
         let opset = Opset::try_from(self.opset).map_err(|e| Error::usage(format!("--opset: {e}")))?;
-        let choices = Choices { storage: self.storage(), opset, sampler: self.sampler.clone() };
-        let mut bundle = bundle_as(&checkpoint::load(&self.run)?, &choices, out, self.force)?;
+        let checkpoint = checkpoint::load(&self.run)?;
+        let sampling = match &self.sampler {
+            _ if self.no_sampler => Sampling::None,
+            Some(file) => Sampling::File(file.clone()),
+            // A decoder that reads neighbours answers no single direction.
+            None if checkpoint.header.architecture.neighbourhood().is_some() => Sampling::None,
+            None => Sampling::Fit(self.sampler_steps),
+        };
+        let choices = Choices { storage: self.storage(), opset, sampling };
+        let mut bundle = bundle_as(&checkpoint, &choices, out, self.force, console)?;
         for file in &bundle.files {
             console.say(format!("{:>10}  {}", file.bytes, out.join(&file.name).display()));
         }
@@ -81,6 +96,9 @@ impl Export {
                 cost.largest_difference,
                 cost.mean_difference
             ));
+        }
+        if let Some(sampling) = &bundle.sampling {
+            console.say(sampling);
         }
         if self.check {
             bundle.artefacts = checked(out, console)?;
@@ -104,6 +122,7 @@ impl Export {
             (self.half_textures, "--half-textures"),
             (self.int8, "--int8"),
             (self.sampler.is_some(), "--sampler"),
+            (self.no_sampler, "--no-sampler"),
             (self.force, "--force"),
         ];
         if let Some((_, flag)) = used.iter().find(|(used, _)| *used) {
@@ -164,6 +183,20 @@ pub struct Written {
     /// What `--check` found.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub artefacts: Vec<Artefact>,
+    /// What its importance sampler gains, in words.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sampling: Option<String>,
+}
+
+/// Where the importance sampler comes from.
+#[derive(Clone, Debug)]
+pub enum Sampling {
+    /// There is none.
+    None,
+    /// A file.
+    File(PathBuf),
+    /// A fit of so many steps.
+    Fit(u64),
 }
 
 /// How a bundle is made.
@@ -173,24 +206,31 @@ pub struct Choices {
     pub storage: Storage,
     /// Operator set of the graphs.
     pub opset: Opset,
-    /// The importance sampler's file.
-    pub sampler: Option<PathBuf>,
+    /// Where the importance sampler comes from.
+    pub sampling: Sampling,
 }
 
 impl Default for Choices {
     fn default() -> Self {
-        Self { storage: Storage::SINGLE, opset: Opset::default(), sampler: None }
+        Self { storage: Storage::SINGLE, opset: Opset::default(), sampling: Sampling::None }
     }
 }
 
 /// Writes the bundle of a checkpoint with its golden answers, once an engine that is not ours gives the same from its graph.
-pub fn bundle(checkpoint: &Checkpoint, out: &Path, force: bool) -> Result<Written> {
-    bundle_as(checkpoint, &Choices::default(), out, force)
+pub fn bundle(checkpoint: &Checkpoint, out: &Path, force: bool, console: &Console) -> Result<Written> {
+    bundle_as(checkpoint, &Choices::default(), out, force, console)
 }
 
 /// As [`bundle`], as it is asked for.
-pub fn bundle_as(checkpoint: &Checkpoint, choices: &Choices, out: &Path, force: bool) -> Result<Written> {
-    let sampler: Option<(Sampler, SamplerGolden)> = None;
+pub fn bundle_as(
+    checkpoint: &Checkpoint,
+    choices: &Choices,
+    out: &Path,
+    force: bool,
+    console: &Console,
+) -> Result<Written> {
+    // Fitting takes longer than anything after it: what cannot be written is refused before.
+    may_replace(out, force)?;
     let mut contents = checkpoint.clone();
     let (answers, rounding) = if choices.storage == Storage::SINGLE {
         (golden::answers(checkpoint, golden::QUERIES)?, None)
@@ -206,12 +246,47 @@ pub fn bundle_as(checkpoint: &Checkpoint, choices: &Choices, out: &Path, force: 
             format!("would move the answers by {mean:.1e} in the mean, more than {MOST_OF_BYTES:.0e}");
         return Err(Error::config("--int8", format!("{problem}; use --half")));
     }
+    let sampler = sampler(&contents, &choices.sampling, console)?;
+    let sampling = sampler.as_ref().map(|(sampler, _)| gained(sampler));
     let sampler = sampler.as_ref().map(|(sampler, golden)| (sampler, golden));
     let contents =
         Contents { checkpoint: &contents, golden: &answers, rounding, sampler, opset: choices.opset };
     let difference = difference(&contents, &out.join(MATERIAL))?;
     let files = contents.write(out, force)?;
-    Ok(Written { files, difference, rounding, artefacts: Vec::new() })
+    Ok(Written { files, difference, rounding, artefacts: Vec::new(), sampling })
+}
+
+/// The sampler of a checkpoint and its golden samples.
+fn sampler(
+    checkpoint: &Checkpoint,
+    sampling: &Sampling,
+    console: &Console,
+) -> Result<Option<(Sampler, SamplerGolden)>> {
+    let sampler = match sampling {
+        Sampling::None => return Ok(None),
+        Sampling::File(file) => Sampler::read(file)?,
+        Sampling::Fit(steps) => {
+            let options = Options { steps: *steps, ..Options::default() };
+            let mut meter = console.meter("importance sampler", *steps, "steps");
+            let fitted = fit(checkpoint, &options, &mut |step, loss| {
+                meter.update(step, &format!("loss {loss:.3}"));
+                console.flow()
+            });
+            meter.finish(*steps);
+            fitted?
+        }
+    };
+    let golden = sampler::golden::golden(checkpoint, &sampler, golden::QUERIES, 1)?;
+    Ok(Some((sampler, golden)))
+}
+
+/// What the gains of a sampler's provenance say.
+fn gained(sampler: &Sampler) -> String {
+    let provenance = &sampler.header.provenance;
+    let of = |gain: &serde_json::Value| Some((gain["ratio"].as_f64()?, gain["light"].as_str()?.to_string()));
+    let gains = provenance["gains"].as_array().into_iter().flatten().filter_map(of);
+    let gains: Vec<String> = gains.map(|(ratio, light)| format!("{ratio:.2} under {light}")).collect();
+    format!("importance sampling: variance over that of cosine sampling {}", gains.join(", "))
 }
 
 /// Runs the graph that is about to be written as `path`.

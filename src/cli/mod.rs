@@ -10,6 +10,7 @@ mod generate;
 mod info;
 mod look;
 mod reproduce;
+mod sampler;
 mod surface;
 mod train;
 mod view;
@@ -49,6 +50,8 @@ enum Command {
     Export(export::Export),
     /// Make a page that shows a bundle's material in a browser.
     View(view::View),
+    /// Fit an importance sampler to a trained material and measure it beside cosine sampling.
+    Sampler(sampler::Sampler),
     /// Ask the paper's questions again: tables, ablation, Inception decoder, speed against accuracy.
     Reproduce(reproduce::Reproduce),
     /// Chart error against time and bytes over all results found.
@@ -75,6 +78,7 @@ impl Cli {
             Command::Evaluate(command) => command.run(&console),
             Command::Export(command) => command.run(&console),
             Command::View(command) => command.run(&console),
+            Command::Sampler(command) => command.run(&console),
             Command::Reproduce(command) => command.run(&console),
             Command::Chart(command) => command.run(&console),
             Command::Bench(command) => command.run(&console),

@@ -92,11 +92,10 @@ class Bundle:
         if "sampler" in self.description:
             golden = read_queries(self.folder / self.description["sampler"]["golden"])
             prepared = self.prepare(*(golden[name] for name in ("u", "wo", "level")))
-            tolerance = float(golden["tolerance"])
-            report["sample"] = (difference(self.sample(prepared, golden["xi"])[0], golden["wi"]), tolerance)
-            pdf = self.pdf(prepared, golden["wi"])
-            relative = np.abs(pdf - golden["pdf"]) / np.maximum(golden["pdf"], 1e-6)
-            report["pdf"] = (float(np.max(relative)), tolerance)
+            apart = np.abs(self.sample(prepared, golden["xi"])[0] - golden["wi"])
+            report["sample"] = (float(np.max(apart)), float(golden["tolerance"]))
+            relative = np.abs(self.pdf(prepared, golden["wi"]) / golden["pdf"] - 1)
+            report["pdf"] = (float(np.max(relative)), float(golden["pdf_tolerance"]))
         return report
 
 
