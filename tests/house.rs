@@ -7,7 +7,7 @@ use std::process::Command;
 
 /// What each module of `src/` may import besides itself and [`ANYWHERE`]. `export` is the exporter's crate but for its
 /// `config`, which is our `config`'s own ground. A module that is missing here fails.
-const FLOW: [(&str, &[&str]); 26] = [
+const FLOW: [(&str, &[&str]); 27] = [
     ("error", &["export"]),
     ("config", &[]),
     ("query", &["error"]),
@@ -53,6 +53,11 @@ const FLOW: [(&str, &[&str]); 26] = [
     ("results", &["export"]),
     ("chart", &["results", "report"]),
     ("report", &["query", "metrics", "srgb"]),
+    // Runs and bundles are opened here; what answers for them is the caller's choice.
+    (
+        "render",
+        &["query", "random", "srgb", "reference", "metrics", "report", "checkpoint", "export"],
+    ),
     (
         "reproduce",
         &[
@@ -85,6 +90,7 @@ const EVERYTHING: &[&str] = &[
     "results",
     "reproduce",
     "chart",
+    "render",
     "export",
 ];
 /// What every module may import but those of [`BARE`].

@@ -9,6 +9,7 @@ mod export;
 mod generate;
 mod info;
 mod look;
+mod render;
 mod reproduce;
 mod surface;
 mod train;
@@ -46,6 +47,8 @@ enum Command {
     Evaluate(evaluate::Evaluate),
     /// Write what another renderer needs.
     Export(export::Export),
+    /// Render pictures of a scene.
+    Render(render::Render),
     /// Ask the paper's questions again: tables, ablation, Inception decoder, speed against accuracy.
     Reproduce(reproduce::Reproduce),
     /// Chart error against time and bytes over all results found.
@@ -71,6 +74,7 @@ impl Cli {
             Command::Train(command) => command.run(&console),
             Command::Evaluate(command) => command.run(&console),
             Command::Export(command) => command.run(&console),
+            Command::Render(command) => command.run(&console),
             Command::Reproduce(command) => command.run(&console),
             Command::Chart(command) => command.run(&console),
             Command::Bench(command) => command.run(&console),
