@@ -54,10 +54,7 @@ const FLOW: [(&str, &[&str]); 27] = [
     ("chart", &["results", "report"]),
     ("report", &["query", "metrics", "srgb"]),
     // Runs and bundles are opened here; what answers for them is the caller's choice.
-    (
-        "render",
-        &["query", "random", "srgb", "reference", "metrics", "report", "checkpoint", "export"],
-    ),
+    ("render", &["query", "random", "srgb", "reference", "metrics", "report", "checkpoint", "export"]),
     (
         "reproduce",
         &[

@@ -25,9 +25,9 @@ pub trait Directions: Send + Sync {
 
 /// Densities over the upper hemisphere, one a view.
 pub trait Lobes {
-    /// A unit direction of view `k` for three numbers in \[0, 1), with its density over solid angle; None where nothing is
+    /// A unit direction of view `k` for two numbers in \[0, 1), with its density over solid angle; None where nothing is
     /// drawn, which counts as no light.
-    fn sample(&self, k: usize, xi: [f32; 3]) -> Option<([f32; 3], f32)>;
+    fn sample(&self, k: usize, xi: [f32; 2]) -> Option<([f32; 3], f32)>;
 
     /// The density over solid angle with which [`Lobes::sample`] draws a unit direction of view `k`.
     fn pdf(&self, k: usize, wi: [f32; 3]) -> f32;
@@ -44,7 +44,7 @@ impl Directions for Cosine {
 }
 
 impl Lobes for Cosine {
-    fn sample(&self, _: usize, [x, y, _]: [f32; 3]) -> Option<([f32; 3], f32)> {
+    fn sample(&self, _: usize, [x, y]: [f32; 2]) -> Option<([f32; 3], f32)> {
         let (sin, cos) = (TAU * x).sin_cos();
         let (radius, z) = (y.sqrt(), (1.0 - y).sqrt());
         (z > 0.0).then_some(([radius * cos, radius * sin, z], z * FRAC_1_PI))

@@ -5,13 +5,12 @@ use crate::query::RgbImage;
 use crate::report::picture::{self, Picture};
 use exr::prelude::*;
 use neumip_export::whole_file::write_whole;
+use serde::{Deserialize, Serialize};
 use std::io::Cursor;
 use std::path::Path;
 
-/// Attribute that holds the identity of the scene.
-const IDENTITY: &str = "neumip.scene";
-/// Attribute that holds the mean variance of the pixels.
-const VARIANCE: &str = "neumip.variance";
+/// The attribute of a [`Label`] as JSON. There is one: several would be written in the order of a hash.
+const LABEL: &str = "neumip";
 /// Longest side of a picture in a contact sheet.
 const SHEET_SIDE: u32 = 256;
 /// Pictures of a contact sheet, at most, and in a row.
@@ -21,7 +20,7 @@ const SHEET_COLUMNS: usize = 6;
 const MAX_SIDE: usize = 16_384;
 
 /// What a frame's file says beside its pixels.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Label {
     /// The identity of the scene.
     pub identity: String,
@@ -45,10 +44,8 @@ pub fn write(path: &Path, image: &RgbImage, half: bool, label: &Label) -> Result
     };
     let channels = ["R", "G", "B"].into_iter().enumerate().map(|(c, name)| channel(name, c)).collect();
     let mut attributes = LayerAttributes::default();
-    attributes.other.insert(text(IDENTITY), AttributeValue::Text(text(&label.identity)));
-    if let Some(variance) = label.variance {
-        attributes.other.insert(text(VARIANCE), AttributeValue::F32(variance));
-    }
+    let json = serde_json::to_string(label).map_err(|e| Error::file(path, e))?;
+    attributes.other.insert(text(LABEL), AttributeValue::Text(text(&json)));
     let encoding = Encoding {
         compression: Compression::ZIP16,
         line_order: LineOrder::Increasing,
@@ -70,12 +67,8 @@ fn text(text: &str) -> Text {
 pub fn label(path: &Path) -> Option<Label> {
     let meta = MetaData::read_from_file(path, false).ok()?;
     let other = &meta.headers.first()?.own_attributes.other;
-    let AttributeValue::Text(identity) = other.get(&text(IDENTITY))? else { return None };
-    let variance = match other.get(&text(VARIANCE)) {
-        Some(AttributeValue::F32(variance)) => Some(*variance),
-        _ => None,
-    };
-    Some(Label { identity: identity.to_string(), variance })
+    let AttributeValue::Text(json) = other.get(&text(LABEL))? else { return None };
+    serde_json::from_str(&json.to_string()).ok()
 }
 
 /// Reads a frame's pixels.
@@ -107,14 +100,18 @@ pub fn read(path: &Path) -> Result<RgbImage> {
     Ok(RgbImage { height, width, pixels: image.layer_data.channel_data.pixels.1 })
 }
 
-/// A picture of at most so many frames, evenly chosen, in rows.
+/// The frames, of so many, that a contact sheet shows.
+pub fn shown(frames: usize) -> Vec<usize> {
+    let shown = frames.min(SHEET_PICTURES);
+    (0..shown).map(|k| k * frames.saturating_sub(1) / shown.saturating_sub(1).max(1)).collect()
+}
+
+/// Pictures in rows, made smaller where they are large.
 ///
 /// # Errors
 /// `Config` if there are none or they differ in size.
-pub fn sheet(frames: &[Picture]) -> Result<Picture> {
-    let shown = frames.len().min(SHEET_PICTURES);
-    let chosen = (0..shown).map(|k| k * frames.len().saturating_sub(1) / shown.saturating_sub(1).max(1));
-    let small: Vec<Picture> = chosen.map(|k| reduced(&frames[k])).collect();
+pub fn sheet(pictures: &[Picture]) -> Result<Picture> {
+    let small: Vec<Picture> = pictures.iter().map(reduced).collect();
     let rows: Vec<Vec<Picture>> = small.chunks(SHEET_COLUMNS).map(<[Picture]>::to_vec).collect();
     picture::sheet(&rows)
 }
@@ -130,26 +127,30 @@ fn reduced(picture: &Picture) -> Picture {
     image::imageops::thumbnail(picture, side(width), side(height))
 }
 
-/// Frames of one size as an animated PNG that repeats; programs that know no animation show the first.
+/// Frames of one size, one after the other, as an animated PNG that repeats; programs that know no animation show the
+/// first.
 ///
 /// # Errors
-/// `Config` if there are none, they differ in size, or the encoder refuses them.
-pub fn animation(frames: &[Picture], fps: u16) -> Result<Vec<u8>> {
+/// `Config` if there are none, they differ in size, or the encoder refuses them; whatever keeps a frame from being there.
+pub fn animation(frames: usize, fps: u16, frame: impl Fn(usize) -> Result<Picture>) -> Result<Vec<u8>> {
     let refuse = |e: &dyn std::fmt::Display| Error::config("animation", e);
-    let first = frames.first().ok_or_else(|| refuse(&"needs a frame"))?;
-    let (width, height) = first.dimensions();
-    if frames.iter().any(|frame| frame.dimensions() != (width, height)) {
-        return Err(refuse(&"its frames differ in size"));
+    if frames == 0 {
+        return Err(refuse(&"needs a frame"));
     }
+    let first = frame(0)?;
     let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, width, height);
+    let mut encoder = png::Encoder::new(&mut bytes, first.width(), first.height());
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
-    let animated = encoder.set_animated(frames.len() as u32, 0);
+    let animated = encoder.set_animated(frames as u32, 0);
     animated.and_then(|()| encoder.set_frame_delay(1, fps)).map_err(|e| refuse(&e))?;
     let mut writer = encoder.write_header().map_err(|e| refuse(&e))?;
-    for frame in frames {
-        writer.write_image_data(frame.as_raw()).map_err(|e| refuse(&e))?;
+    for index in 0..frames {
+        let picture = frame(index)?;
+        if picture.dimensions() != first.dimensions() {
+            return Err(refuse(&"its frames differ in size"));
+        }
+        writer.write_image_data(picture.as_raw()).map_err(|e| refuse(&e))?;
     }
     writer.finish().map_err(|e| refuse(&e))?;
     Ok(bytes)
@@ -181,7 +182,7 @@ mod tests {
     #[test]
     fn animations_and_sheets_hold_their_frames() {
         let frames: Vec<Picture> = (0..5).map(|k| Picture::from_pixel(300, 20, image::Rgb([k; 3]))).collect();
-        let bytes = animation(&frames, 12).unwrap();
+        let bytes = animation(5, 12, |k| Ok(frames[k].clone())).unwrap();
         let mut reader = png::Decoder::new(Cursor::new(&bytes)).read_info().unwrap();
         assert_eq!(reader.info().animation_control().unwrap().num_frames, 5);
         let mut pixels = vec![0; 300 * 20 * 3];
@@ -189,7 +190,8 @@ mod tests {
             reader.next_frame(&mut pixels).unwrap();
             assert!(pixels.iter().all(|v| *v == k));
         }
-        assert!(animation(&[], 12).is_err());
+        assert!(animation(0, 12, |k| Ok(frames[k].clone())).is_err());
+        assert_eq!((shown(3), shown(47).len(), shown(47)[23]), (vec![0, 1, 2], 24, 46));
         let sheet = sheet(&frames).unwrap();
         assert_eq!(sheet.height(), 18);
         assert_eq!((sheet.get_pixel(0, 0).0, sheet.get_pixel(4 * 260, 0).0), ([0; 3], [4; 3]));

@@ -97,14 +97,15 @@ impl Surroundings {
         self.map.radiance(self.turn.transpose() * direction).map(|v| v * self.scale)
     }
 
-    /// A unit direction for two numbers in \[0, 1), with its density over solid angle.
-    pub fn sample(&self, xi: [f64; 2]) -> (DVec3, f64) {
-        let (direction, pdf) = self.map.sample(xi);
-        (self.turn * direction, pdf)
+    /// Radiance from a unit direction, and the density over solid angle with which [`Surroundings::sample`] draws it.
+    pub fn look(&self, direction: DVec3) -> ([f32; 3], f64) {
+        let (radiance, pdf) = self.map.look(self.turn.transpose() * direction);
+        (radiance.map(|v| v * self.scale), pdf)
     }
 
-    /// Density over solid angle with which [`Surroundings::sample`] draws a unit direction.
-    pub fn pdf(&self, direction: DVec3) -> f64 {
-        self.map.pdf(self.turn.transpose() * direction)
+    /// A unit direction for two numbers in \[0, 1), the radiance from there, and its density over solid angle.
+    pub fn sample(&self, xi: [f32; 2]) -> (DVec3, [f32; 3], f64) {
+        let (direction, radiance, pdf) = self.map.sample(xi.map(f64::from));
+        (self.turn * direction, radiance.map(|v| v * self.scale), pdf)
     }
 }

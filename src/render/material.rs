@@ -51,8 +51,18 @@ pub struct Answered {
     pub variance: Option<Vec<f32>>,
 }
 
-/// What makes a checkpoint answer: the fused engine, or another.
-pub type Engine<'a> = dyn Fn(&Checkpoint) -> Result<Box<dyn Reflectance>> + 'a;
+/// What answers for a checkpoint.
+pub struct Model {
+    /// Answers its queries.
+    pub answers: Box<dyn Reflectance>,
+    /// Which directions it asks for: [`Cosine`], or a sampler that was fitted to it.
+    pub directions: Box<dyn Directions>,
+    /// A number that tells its answers and directions from others of the same checkpoint; may be empty.
+    pub identity: String,
+}
+
+/// Makes a checkpoint answer; the path is that of the run, bundle or checkpoint that it comes from.
+pub type Engine<'a> = dyn Fn(&Checkpoint, &Path) -> Result<Model> + 'a;
 
 impl Material {
     /// The material of a checked spec; `base` is the folder of relative paths, and `engine` answers for checkpoints.
@@ -63,15 +73,16 @@ impl Material {
     pub fn open(name: &str, spec: &MaterialSpec, base: &Path, engine: &Engine) -> Result<Self> {
         let field = format!("materials.{name}");
         match spec.source().map_err(|problem| Error::config(&field, problem))? {
-            Source::Model(path) => Self::model(name, &load(&base.join(path))?, engine),
+            Source::Model(path) => Self::model(name, &base.join(path), engine),
             Source::Reference(surface) => Self::reference(name, surface, spec, base),
             Source::Lambert(albedo) => Ok(Self::lambert(name, albedo)),
         }
     }
 
-    fn model(name: &str, checkpoint: &Checkpoint, engine: &Engine) -> Result<Self> {
+    fn model(name: &str, path: &Path, engine: &Engine) -> Result<Self> {
+        let checkpoint = load(path)?;
         let architecture = &checkpoint.header.architecture;
-        let answers = engine(checkpoint)?;
+        let Model { answers, directions, identity } = engine(&checkpoint, path)?;
         if answers.support() != Support::Pointwise {
             let problem = "its Inception decoder answers images of the whole tile, not the points that rays meet; \
                            train a model with an MLP decoder";
@@ -85,9 +96,9 @@ impl Material {
                 "{} at {} x {}",
                 checkpoint.header.material, architecture.resolution[1], architecture.resolution[0]
             ),
-            identity: identity(checkpoint)?,
+            identity: format!("{} {identity}", content(&checkpoint)?),
             notes: Vec::new(),
-            directions: Box::new(Cosine),
+            directions,
             trained_on: Some(checkpoint.header.material.clone()),
             answers: Answers::Pointwise(answers),
         })
@@ -185,7 +196,8 @@ pub fn load(path: &Path) -> Result<Checkpoint> {
     checkpoint::load(path)
 }
 
-fn identity(checkpoint: &Checkpoint) -> Result<String> {
+/// A hash of all that a checkpoint holds.
+fn content(checkpoint: &Checkpoint) -> Result<String> {
     let mut hash = Sha256::new();
     let header = serde_json::to_vec(&checkpoint.header).map_err(|e| Error::config("checkpoint", e))?;
     hash.update(header);

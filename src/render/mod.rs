@@ -36,8 +36,8 @@ pub mod trace;
 pub mod world;
 
 pub use asked::Asked;
-pub use directions::{Directions, Lobes, View};
+pub use directions::{Cosine, Directions, Lobes, View};
 pub use format::SceneFile;
-pub use material::Material;
+pub use material::{Material, Model};
 pub use picture::{Cost, Picture, Progress};
 pub use scene::{Frame, OpenOptions, Scene};

@@ -70,12 +70,6 @@ impl Scene {
             file.materials.insert(DEFAULT_MATERIAL.into(), spec.clone());
         }
         let used = |name: &str| file.objects.iter().any(|object| object.material == name);
-        if options.default_material.is_some() && !used(DEFAULT_MATERIAL) {
-            return Err(Error::usage(format!(
-                "{}: every object names a material of its own, so none is left for the one given",
-                path.display()
-            )));
-        }
         for (k, object) in file.objects.iter().enumerate() {
             let name = &object.material;
             if file.materials.contains_key(name) {
@@ -89,6 +83,12 @@ impl Scene {
             } else {
                 Error::file(path, format!("objects[{k}].material: there is no material of the name {name}"))
             });
+        }
+        if options.default_material.is_some() && !used(DEFAULT_MATERIAL) {
+            return Err(Error::usage(format!(
+                "{}: every object names a material of its own, so none is left for the one given",
+                path.display()
+            )));
         }
         for frame in 0..animation::frames(&file) {
             animation::at(&file, frame).map_err(at_path)?;

@@ -120,9 +120,10 @@ fn sphere(ray: &Ray) -> Option<[f64; 2]> {
 /// u and v are taken from the azimuth 0.
 fn on_sphere(position: DVec3) -> Patch {
     let position = position.normalize_or(DVec3::Z);
-    let (sin_theta, phi) = (position.x.hypot(position.y), position.y.atan2(position.x));
-    let (sin_phi, cos_phi) = phi.sin_cos();
-    let u = phi / TAU;
+    let sin_theta = position.x.hypot(position.y);
+    let [cos_phi, sin_phi] =
+        if sin_theta > 0.0 { [position.x / sin_theta, position.y / sin_theta] } else { [1.0, 0.0] };
+    let u = sin_phi.atan2(cos_phi) / TAU;
     Patch {
         position,
         geometric: position,

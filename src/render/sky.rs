@@ -17,6 +17,8 @@ const POINTS: usize = 4;
 pub fn paint(spec: &SkySpec) -> Environment {
     let sun = DVec3::from(spec.sun).normalize_or(DVec3::Z);
     let limb = spec.sun_radius.to_radians().cos();
+    // A texel is less than half a degree across.
+    let around = (spec.sun_radius + 0.5).to_radians().cos();
     let mut discs = vec![0.0f64; WIDTH * HEIGHT];
     let (mut facing, mut texels) = (0.0, Vec::with_capacity(WIDTH * HEIGHT));
     for row in 0..HEIGHT {
@@ -30,7 +32,8 @@ pub fn paint(spec: &SkySpec) -> Environment {
             };
             texels.push(background(spec, at(0.5, 0.5)));
             // Brightest in the middle and 0 at the limb, so that the sun has no hard edge.
-            let disc: f64 = (0..POINTS * POINTS)
+            let near = at(0.5, 0.5).dot(sun) > around;
+            let disc: f64 = (0..if near { POINTS * POINTS } else { 0 })
                 .map(|k| {
                     let point = [k % POINTS, k / POINTS].map(|i| (i as f64 + 0.5) / POINTS as f64);
                     ((at(point[0], point[1]).dot(sun) - limb) / (1.0 - limb)).max(0.0)
@@ -73,8 +76,7 @@ mod tests {
         let n = 20_000;
         let mut irradiance = [0.0f64; 3];
         for _ in 0..n {
-            let (direction, pdf) = sky.sample([random.uniform_f64(), random.uniform_f64()]);
-            let radiance = sky.radiance(direction);
+            let (direction, radiance, pdf) = sky.sample([random.uniform_f64(), random.uniform_f64()]);
             (0..3)
                 .for_each(|c| irradiance[c] += f64::from(radiance[c]) * direction.dot(sun) / pdf / n as f64);
         }

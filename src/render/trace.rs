@@ -19,18 +19,20 @@ use std::ops::Range;
 /// meets that large a footprint, whatever the number of samples.
 const BOUNCE_RAYS: f64 = 64.0;
 
-/// Sets of four numbers that a sample draws: in the pixel and on the environment, towards the light from the first point;
-/// the same from the second.
-const FIRST: u32 = 0;
-const FIRST_DRAWN: u32 = 1;
+/// Sets of four numbers that a sample draws. The first two of [`SEEN`] are for the place in the pixel, those of [`FIRST`] and
+/// [`SECOND`] for the material's direction from the first and the second point; the other two of each for the environment's
+/// direction from the point after.
+const SEEN: u32 = 0;
+const FIRST: u32 = 1;
 const SECOND: u32 = 2;
-const SECOND_DRAWN: u32 = 3;
 
 /// A point that is to be lit.
 struct Vertex {
     pixel: u32,
     sample: u32,
     seed: u32,
+    /// Numbers for the environment's direction.
+    xi: [f32; 2],
     spot: Spot,
     view: View,
     /// Area of a cut through the beam that came here.
@@ -55,8 +57,8 @@ pub fn trace(scene: &Scene, frame: &Frame, pixels: Range<usize>) -> Result<Part>
     let mut tracer = Tracer { scene, frame, part: Part::new(pixels.clone(), scene.materials.len()) };
     let first = tracer.seen(pixels);
     let bounces = scene.file.bounces > 0;
-    let second = tracer.light(first, [FIRST, FIRST_DRAWN], bounces)?;
-    tracer.light(second, [SECOND, SECOND_DRAWN], false)?;
+    let second = tracer.light(first, FIRST, bounces)?;
+    tracer.light(second, SECOND, false)?;
     Ok(tracer.part)
 }
 
@@ -77,10 +79,8 @@ impl Tracer<'_> {
             // The same in every frame, so that noise does not flicker.
             let seed = random::hash(self.scene.seed ^ random::hash(pixel as u64)) as u32;
             for sample in 0..*samples as u32 {
-                let [x, y, ..] = match samples {
-                    1 => [0.5; 4],
-                    _ => sobol_burley::sample_4d(sample, FIRST, seed),
-                };
+                let [x, y, xi @ ..] = sobol_burley::sample_4d(sample, SEEN, seed);
+                let [x, y] = if *samples == 1 { [0.5; 2] } else { [x, y] };
                 let ray = camera.ray(column as f64 + f64::from(x), row as f64 + f64::from(y));
                 let Some(hit) = self.scene.world.nearest(&ray) else {
                     if let Some(environment) = &lights.environment {
@@ -96,6 +96,7 @@ impl Tracer<'_> {
                     pixel: k as u32,
                     sample,
                     seed,
+                    xi,
                     spot,
                     view,
                     beam,
@@ -122,7 +123,7 @@ impl Tracer<'_> {
     }
 
     /// Asks for all light at the points, and gives the points from which bounced light comes to them.
-    fn light(&mut self, mut vertices: Vec<Vertex>, sets: [u32; 2], bounces: bool) -> Result<Vec<Vertex>> {
+    fn light(&mut self, mut vertices: Vec<Vertex>, set: u32, bounces: bool) -> Result<Vec<Vertex>> {
         let draws = bounces || self.frame.lights.environment.is_some();
         let scene = self.scene;
         let mut lobes: Vec<Option<Box<dyn Lobes>>> = Vec::new();
@@ -141,8 +142,8 @@ impl Tracer<'_> {
             self.distinct(vertex);
             if let Some(lobes) = &lobes[vertex.spot.material] {
                 let lobe = Lobe { lobes: &**lobes, place };
-                self.environment(vertex, &lobe, sets[0]);
-                next.extend(self.drawn(vertex, &lobe, sets[1], bounces));
+                self.environment(vertex, &lobe);
+                next.extend(self.drawn(vertex, &lobe, set, bounces));
             }
         }
         Ok(next)
@@ -161,10 +162,9 @@ impl Tracer<'_> {
     }
 
     /// The environment by its own samples.
-    fn environment(&mut self, vertex: &mut Vertex, lobe: &Lobe, set: u32) {
+    fn environment(&mut self, vertex: &mut Vertex, lobe: &Lobe) {
         let Some(environment) = &self.frame.lights.environment else { return };
-        let [.., x, y] = sobol_burley::sample_4d(vertex.sample, set, vertex.seed);
-        let (direction, pdf) = environment.sample([x, y].map(f64::from));
+        let (direction, radiance, pdf) = environment.sample(vertex.xi);
         let wi = stored(&vertex.spot, direction);
         let Some(ray) = vertex.spot.leave(direction) else { return };
         if !above_horizon(wi) || !self.scene.world.is_free(&ray, f64::INFINITY) {
@@ -173,14 +173,13 @@ impl Tracer<'_> {
         let local = (vertex.spot.frame.transpose() * direction).as_vec3().to_array();
         // radiance / pdf, weighed by pdf / (pdf + the material's).
         let over = 1.0 / (pdf + f64::from(lobe.lobes.pdf(lobe.place, local)));
-        let radiance = environment.radiance(direction);
         self.add(vertex, wi, radiance.map(|v| v * over as f32));
     }
 
     /// The direction that the material draws: to the environment, or to another object if light bounces.
     fn drawn(&mut self, vertex: &mut Vertex, lobe: &Lobe, set: u32, bounces: bool) -> Option<Vertex> {
-        let [x, y, z, _] = sobol_burley::sample_4d(vertex.sample, set, vertex.seed);
-        let (local, pdf) = lobe.lobes.sample(lobe.place, [x, y, z])?;
+        let [x, y, xi @ ..] = sobol_burley::sample_4d(vertex.sample, set, vertex.seed);
+        let (local, pdf) = lobe.lobes.sample(lobe.place, [x, y])?;
         let direction = (vertex.spot.frame * DVec3::from(local.map(f64::from))).normalize();
         let wi = stored(&vertex.spot, direction);
         let ray = vertex.spot.leave(direction)?;
@@ -195,8 +194,8 @@ impl Tracer<'_> {
         };
         let Some(hit) = met else {
             let environment = self.frame.lights.environment.as_ref()?;
-            let over = 1.0 / (f64::from(pdf) + environment.pdf(direction));
-            let radiance = environment.radiance(direction);
+            let (radiance, density) = environment.look(direction);
+            let over = 1.0 / (f64::from(pdf) + density);
             self.add(vertex, wi, radiance.map(|v| v * over as f32));
             return None;
         };
@@ -210,7 +209,7 @@ impl Tracer<'_> {
             over: 1.0 / pdf,
             slot: None,
         };
-        Some(Vertex { spot, view, beam, before: Some(before), ..*vertex })
+        Some(Vertex { xi, spot, view, beam, before: Some(before), ..*vertex })
     }
 
     /// Asks the material of a point for light of a radiance or irradiance, over its density.

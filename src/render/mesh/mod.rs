@@ -1,5 +1,8 @@
 //! Triangle meshes that rays meet: a tree of boxes by `obvhs` in single precision over triangles in double.
 
+#[cfg(test)]
+mod tests;
+
 use super::shape::{Near, Patch, Ray};
 use crate::error::{Error, Result};
 use crate::reference::mesh_file::{RawMesh, read_raw};
