@@ -51,6 +51,7 @@ pub mod onnx_material;
 pub mod query;
 pub mod random;
 pub mod reference;
+pub mod render;
 pub mod report;
 pub mod reproduce;
 pub mod results;

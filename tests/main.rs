@@ -21,6 +21,7 @@ mod model;
 mod onnx;
 mod python_environment;
 mod reference;
+mod rendering;
 mod reproducing;
 mod surfaces;
 mod training;

@@ -9,6 +9,7 @@ mod export;
 mod generate;
 mod info;
 mod look;
+mod render;
 mod reproduce;
 mod sampler;
 mod surface;
@@ -52,6 +53,8 @@ enum Command {
     View(view::View),
     /// Fit an importance sampler to a trained material and measure it beside cosine sampling.
     Sampler(sampler::Sampler),
+    /// Render pictures of a scene.
+    Render(render::Render),
     /// Ask the paper's questions again: tables, ablation, Inception decoder, speed against accuracy.
     Reproduce(reproduce::Reproduce),
     /// Chart error against time and bytes over all results found.
@@ -79,6 +82,7 @@ impl Cli {
             Command::Export(command) => command.run(&console),
             Command::View(command) => command.run(&console),
             Command::Sampler(command) => command.run(&console),
+            Command::Render(command) => command.run(&console),
             Command::Reproduce(command) => command.run(&console),
             Command::Chart(command) => command.run(&console),
             Command::Bench(command) => command.run(&console),

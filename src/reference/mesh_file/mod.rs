@@ -36,16 +36,27 @@ const MAX_VERTICES: usize = 3 * MAX_TRIANGLES;
 /// Why a mesh is refused; the caller knows the file.
 type Checked<T> = std::result::Result<T, String>;
 
-/// A mesh in the file's coordinates.
-#[derive(Debug, Default)]
-struct RawMesh {
-    positions: Vec<[f64; 3]>,
+/// A mesh in the file's coordinates, as the file has it: nothing is checked but that indices lie within.
+#[derive(Clone, Debug, Default)]
+pub struct RawMesh {
+    /// Corners.
+    pub positions: Vec<[f64; 3]>,
     /// One for each position, or none at all.
-    normals: Vec<[f64; 3]>,
+    pub normals: Vec<[f64; 3]>,
     /// One for each position, or none at all.
-    uv: Vec<[f64; 2]>,
-    triangles: Vec<[u32; 3]>,
-    notes: Vec<String>,
+    pub uv: Vec<[f64; 2]>,
+    /// Corners of each triangle.
+    pub triangles: Vec<[u32; 3]>,
+    /// What was done to it, a line each.
+    pub notes: Vec<String>,
+}
+
+/// Reads a mesh as it is, to be placed anywhere: it need not tile.
+///
+/// # Errors
+/// `File` if it is neither .obj nor .ply, cannot be read as one, or is larger than [`MAX_BYTES`] or [`MAX_TRIANGLES`].
+pub fn read_raw(path: &Path) -> Result<RawMesh> {
+    parsed(path).map_err(|problem| Error::file(path, one_line(&problem)))
 }
 
 /// Reads a mesh, in tile widths, with notes on what was done to it.
@@ -62,6 +73,15 @@ pub fn read(path: &Path, placement: &Placement) -> Result<(TriangleMesh, Vec<Str
 
 fn read_checked(path: &Path, placement: &Placement) -> Checked<(TriangleMesh, Vec<String>)> {
     let frame = place::Frame::new(placement)?;
+    let raw = parsed(path)?;
+    let mut notes = raw.notes.clone();
+    let mesh = frame.place(raw, &mut notes)?;
+    seam::check(&mesh, &frame)?;
+    cover::check(&mesh, &frame)?;
+    Ok((mesh, notes))
+}
+
+fn parsed(path: &Path) -> Checked<RawMesh> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
     let parse: fn(&mut BufReader<Take<File>>) -> Checked<RawMesh> = match extension.as_str() {
         "obj" => obj::read,
@@ -74,12 +94,7 @@ fn read_checked(path: &Path, placement: &Placement) -> Checked<(TriangleMesh, Ve
     if bytes > MAX_BYTES {
         return Err(format!("has {bytes} bytes; at most {MAX_BYTES} work: reduce the mesh"));
     }
-    let raw = parse(&mut BufReader::new(file.take(MAX_BYTES)))?;
-    let mut notes = raw.notes.clone();
-    let mesh = frame.place(raw, &mut notes)?;
-    seam::check(&mesh, &frame)?;
-    cover::check(&mesh, &frame)?;
-    Ok((mesh, notes))
+    parse(&mut BufReader::new(file.take(MAX_BYTES)))
 }
 
 /// Parts of a damaged file may stand in a problem; they must not break its line.
