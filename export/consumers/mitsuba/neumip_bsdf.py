@@ -25,6 +25,7 @@ import math
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from neumip_answer import Answerer, Lobes
 from neumip_bundle import Bundle, BundleError
@@ -39,6 +40,8 @@ def register():
     class Neumip(mi.BSDF):
         def __init__(self, properties):
             super().__init__(properties)
+            if not mi.variant().endswith("_rgb"):
+                raise BundleError(f"neumip: the variant {mi.variant()} is not RGB; set llvm_ad_rgb, cuda_ad_rgb or scalar_rgb")
             bundle = Bundle(properties["bundle"])
             self.answerer = Answerer(bundle, properties.get("half", False))
             self.tiling = two_numbers(properties.get("tiling", 1.0))
@@ -129,12 +132,20 @@ def two_numbers(text):
 
 
 def check(scene):
-    """Raises `BundleError` for a mesh with a neural material and no texture coordinates to look it up with."""
+    """Raises `BundleError` for a mesh that has a neural material and no texture coordinates to look it up with."""
     for shape in scene.shapes():
-        if shape.bsdf() is None or not str(shape.bsdf()).startswith("Neumip["):
+        if not shape.is_mesh() or "Neumip[" not in str(shape.bsdf()):
             continue
-        if shape.is_mesh() and not shape.has_vertex_texcoords():
+        if not shape.has_vertex_texcoords():
             raise BundleError(f"{shape.id()}: the mesh has no texture coordinates, which a neural material needs")
+        arrays = mi.traverse(shape)
+        corners = np.array(arrays["vertex_texcoords"]).reshape(-1, 2)[np.array(arrays["faces"]).reshape(-1, 3)]
+        sides = corners[:, 1:] - corners[:, :1]
+        area = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]
+        # Written so that a NaN counts; single triangles without area are usual at poles.
+        lost = int(np.sum(~(np.abs(area) > 0.0)))
+        if 2 * lost > len(area):
+            raise BundleError(f"{shape.id()}: {lost} of {len(area)} triangles have texture coordinates without area")
 
 
 if mi.variant():

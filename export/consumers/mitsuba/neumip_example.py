@@ -15,47 +15,32 @@ import time
 import numpy as np
 
 import neumip_llvm
+import neumip_scene
 
 
-def arguments():
+def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("bundle", help="folder that `neumip export` wrote")
-    parser.add_argument("--out", required=True, help="picture to write: .exr, .png or .npy")
+    neumip_scene.picture_arguments(parser)
     parser.add_argument("--scene", choices=["plane", "sphere", "environment"], default="environment")
     parser.add_argument("--shape", choices=["sphere", "torus"], default="sphere", help="what stands in `environment`")
     parser.add_argument("--variant", default="llvm_ad_rgb", help="llvm_ad_rgb, cuda_ad_rgb or scalar_rgb (slow)")
-    parser.add_argument("--size", type=int, nargs=2, default=[512, 512], metavar=("W", "H"))
     parser.add_argument("--spp", type=int, help="samples a pixel; absent: pixel centres, in `environment` 64")
     parser.add_argument("--depth", type=int, default=6, help="longest path, in segments")
-    parser.add_argument("--origin", type=float, nargs=3, metavar=("X", "Y", "Z"))
-    parser.add_argument("--target", type=float, nargs=3, metavar=("X", "Y", "Z"))
-    parser.add_argument("--up", type=float, nargs=3, default=[0.0, 0.0, 1.0], metavar=("X", "Y", "Z"))
-    parser.add_argument("--fov", type=float, help="horizontal field of view in degrees")
     parser.add_argument("--light", type=float, nargs=3, metavar=("X", "Y", "Z"), help="towards the distant light")
     parser.add_argument("--tiling", default="1", help='tiles along u and v, such as "8 4"')
     parser.add_argument("--level", type=float, help="one level for every answer")
     parser.add_argument("--level-bias", type=float, default=0.0)
     parser.add_argument("--half", action="store_true", help="textures in half floats")
-    parser.add_argument("--exposure", type=float, default=0.0, help="stops, for PNG")
     parser.add_argument("--bsdf", choices=["neumip", "roughconductor"], default="neumip", help="to compare times")
-    return parser.parse_args()
-
-
-def main():
-    options = arguments()
-    neumip_llvm.prepare(options.variant)
+    options = parser.parse_args()
+    neumip_llvm.set_variant(options.variant)
     import mitsuba as mi
-
-    mi.set_variant(options.variant)
     import neumip_bsdf
-    import neumip_scene
 
-    origin, target, fov = neumip_scene.CAMERAS[options.scene]
-    fov = options.fov or fov
-    sensor = neumip_scene.camera(options.origin or origin, options.target or target, options.up, fov, options.size)
+    sensor, view = neumip_scene.sensor_of(options)
     bsdf = {"type": options.bsdf}
     if options.bsdf == "neumip":
-        angle = neumip_scene.pixel_angle(fov, options.size[0])
+        angle = neumip_scene.pixel_angle(view.fov, options.size[0])
         bsdf |= {"bundle": options.bundle, "tiling": options.tiling, "level_bias": options.level_bias}
         bsdf |= {"pixel_angle": angle, "half": options.half}
         bsdf |= {} if options.level is None else {"level": options.level}
@@ -71,16 +56,11 @@ def main():
     else:
         image = np.array(mi.render(world, spp=options.spp or 64))
     print(f"{options.out}: {options.size[0]} x {options.size[1]} in {time.perf_counter() - began:.2f} s", file=sys.stderr)
-    if options.out.endswith(".npy"):
-        np.save(options.out, image)
-    elif options.out.endswith(".png"):
-        mi.util.write_bitmap(options.out, mi.TensorXf(image * 2.0**options.exposure), write_async=False)
-    else:
-        mi.Bitmap(image).write(options.out)
+    neumip_scene.write(options.out, image)
 
 
 if __name__ == "__main__":
     try:
         main()
-    except (ValueError, RuntimeError) as problem:
-        sys.exit(f"neumip: {problem}")
+    except (OSError, RuntimeError, ValueError) as problem:
+        sys.exit(f"neumip: {neumip_llvm.one_line(problem)}")

@@ -1,4 +1,4 @@
-"""Finds what Mitsuba's llvm variants need: the shared library of LLVM 17 or newer."""
+"""Sets Mitsuba's variant. The llvm variants need the shared library of LLVM 17 or newer, which is looked for."""
 
 import glob
 import os
@@ -18,7 +18,7 @@ ADVICE = f"LLVM {OLDEST} or newer was not found: install it (Debian: libllvm19) 
 
 
 def find():
-    """The newest library, or None; what the variable names goes first. Call it before Dr.Jit is first used."""
+    """The newest library, or None; what the variable names goes first. Of use before Dr.Jit first looks."""
     if os.environ.get(VARIABLE):
         return os.environ[VARIABLE]
     found = []
@@ -32,7 +32,19 @@ def find():
     return os.environ[VARIABLE]
 
 
-def prepare(variant):
-    """Makes `mi.set_variant(variant)` work, or raises with what is missing."""
-    if variant.startswith("llvm") and find() is None:
-        raise RuntimeError(ADVICE)
+def set_variant(variant):
+    """`mi.set_variant`, with LLVM where one is found; `RuntimeError` says in one line what is missing."""
+    import mitsuba as mi
+
+    llvm = variant.startswith("llvm")
+    if llvm:
+        find()
+    try:
+        mi.set_variant(variant)
+    except ImportError as problem:
+        raise RuntimeError(ADVICE if llvm and variant in mi.variants() else str(problem).strip()) from problem
+
+
+def one_line(problem):
+    """What is wrong, without the trace that Mitsuba puts around an error in a plugin's constructor."""
+    return str(problem).strip().splitlines()[-1].removeprefix("BundleError: ").removeprefix("neumip: ")

@@ -1,13 +1,16 @@
-"""Scenes for a neural material in Mitsuba 3: shapes, camera, lights. Import it after `mi.set_variant`.
+"""Scenes for a neural material in Mitsuba 3: shapes, camera, lights; and the command lines that name them.
 
 Shapes are Mitsuba's own: `plane` is the square [-1, 1]^2 at z = 0, `sphere` has radius 1 around the origin.
 """
 
+import argparse
 import math
+from collections import namedtuple
 
 import mitsuba as mi
 import numpy as np
 
+View = namedtuple("View", "origin target fov")
 # Where the camera stands, what it looks at, its horizontal field of view in degrees.
 CAMERAS = {
     "plane": ([0.0, -1.6263456, 1.6263456], [0.0, 0.0, 0.0], 45.0),
@@ -36,6 +39,41 @@ def camera(origin, target, up, fov, size):
         },
         "sampler": {"type": "independent"},
     }
+
+
+def picture_arguments(parser):
+    """The options of a picture and its camera; what is absent is the scene's own."""
+    parser.add_argument("bundle", help="folder that `neumip export` wrote")
+    parser.add_argument("--out", required=True, type=picture, help="picture to write: .exr, .png or .npy")
+    parser.add_argument("--size", type=int, nargs=2, default=[512, 512], metavar=("W", "H"))
+    parser.add_argument("--origin", type=float, nargs=3, metavar=("X", "Y", "Z"))
+    parser.add_argument("--target", type=float, nargs=3, metavar=("X", "Y", "Z"))
+    parser.add_argument("--up", type=float, nargs=3, default=[0.0, 0.0, 1.0], metavar=("X", "Y", "Z"))
+    parser.add_argument("--fov", type=float, help="horizontal field of view in degrees")
+
+
+def picture(path):
+    """A path that `write` can write, for argparse."""
+    if not path.endswith((".exr", ".png", ".npy")):
+        raise argparse.ArgumentTypeError(f"{path}: pictures are .exr, .png or .npy")
+    return path
+
+
+def sensor_of(options):
+    """The camera that a command's options name, and it as (origin, target, fov)."""
+    origin, target, fov = CAMERAS[options.scene]
+    view = View(options.origin or origin, options.target or target, options.fov or fov)
+    return camera(*view[:2], options.up, view.fov, options.size), view
+
+
+def write(path, image):
+    """A linear picture [H, W, 3] as EXR, PNG (sRGB) or npy."""
+    if path.endswith(".npy"):
+        np.save(path, image)
+    elif path.endswith(".png"):
+        mi.util.write_bitmap(path, mi.TensorXf(image), write_async=False)
+    else:
+        mi.Bitmap(np.asarray(image, np.float32)).write(path)
 
 
 def pixel_angle(fov, width):
