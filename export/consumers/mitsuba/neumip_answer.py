@@ -52,7 +52,7 @@ class Layers:
 class Pyramid:
     """Textures of one channel count, looked up bilinearly with repetition: [H, W, C] each, texel after texel in one buffer."""
 
-    def __init__(self, textures, half=False):
+    def __init__(self, textures):
         self.channels = textures[0].shape[2]
         self.textures = textures
         if not dr.is_jit_v(mi.Float):
@@ -61,7 +61,7 @@ class Pyramid:
         self.padded = 1 << (self.channels - 1).bit_length()
         texels = [np.pad(t, ((0, 0), (0, 0), (0, self.padded - self.channels))).reshape(-1) for t in textures]
         texels = np.concatenate(texels)
-        self.texels = mi.Float16(texels) if half else mi.Float(texels)
+        self.texels = mi.Float(texels)
         starts = np.cumsum([0] + [t.shape[0] * t.shape[1] for t in textures])[:-1]
         sizes = [(start, *t.shape[:2]) for start, t in zip(starts, textures)]
         self.start, self.height, self.width = (mi.UInt32(np.array(column, np.uint32)) for column in zip(*sizes))
@@ -82,9 +82,8 @@ class Pyramid:
         return [mixed(a, b, fy) for a, b in zip(*rows)]
 
     def texel(self, index):
-        kind = mi.ArrayXf16 if type(self.texels) is mi.Float16 else mi.ArrayXf
-        packet = dr.gather(kind, self.texels, index, shape=(self.padded, dr.width(index)))
-        return [mi.Float(packet[c]) for c in range(self.channels)]
+        packet = dr.gather(mi.ArrayXf, self.texels, index, shape=(self.padded, dr.width(index)))
+        return [packet[c] for c in range(self.channels)]
 
     def scalar(self, u, which):
         texture = self.textures[int(which)]
@@ -147,14 +146,14 @@ class Prepared:
 class Answerer:
     """A bundle's material. Directions are unit vectors of the local frame, wi to the light, wo to the viewer."""
 
-    def __init__(self, bundle, half=False):
+    def __init__(self, bundle):
         self.model, self.resolution = bundle.model, bundle.resolution
         self.finest, self.levels, self.coarsest = bundle.finest, bundle.levels, bundle.coarsest
         self.u_bands = bundle.u_bands()
-        self.pyramid = Pyramid([bundle.tensors[f"texture.level{k}"] for k in range(self.levels)], half)
+        self.pyramid = Pyramid([bundle.tensors[f"texture.level{k}"] for k in range(self.levels)])
         self.decoder = Layers(bundle.network("decoder.mlp"))
         if self.model["parallax"]["kind"] == "offset":
-            self.offset = Pyramid([bundle.tensors["offset.texture"]], half)
+            self.offset = Pyramid([bundle.tensors["offset.texture"]])
             self.offset_mlp = Layers(bundle.network("offset.mlp"))
         ends = np.cumsum([0, *bundle.decoder_inputs()])
         self.columns = [range(a, b) for a, b in zip(ends, ends[1:])]
@@ -247,11 +246,10 @@ class Lobes:
             matrix, inverse = (a, 0.0, r * a, d), (1.0 / a, 0.0, -r / d, 1.0 / d)
             determinant, centre = a * d, (cx, cy)
             if frame == "mirror":
-                g = dr.sqrt(1.0 + m[0] * m[0] + m[1] * m[1])
-                stretch = symmetric(m, g, g / (1.0 + g))
-                matrix = product(stretch, matrix)
-                inverse = product(inverse, symmetric(m, 1.0 / g, -1.0 / (g * g * (1.0 + g))))
-                determinant = determinant * g * g * g
+                square = 1.0 + m[0] * m[0] + m[1] * m[1]
+                stretch = symmetric(m, 1.0)
+                matrix, inverse = product(stretch, matrix), product(inverse, symmetric(m, -1.0 / square))
+                determinant = determinant * square
                 x, y = applied(stretch, cx, cy)
                 centre = (m[0] + x, m[1] + y)
             self.lobes.append((rest * share, matrix, inverse, determinant, centre))
@@ -277,10 +275,10 @@ class Lobes:
         return dr.select((wi.z > 0.0) & (self.wo.z > 0.0), density / math.pi, 0.0)
 
 
-def symmetric(m, scale, factor):
-    """scale I + factor m m^T, by rows."""
+def symmetric(m, factor):
+    """I + factor m m^T, by rows."""
     off = factor * m[0] * m[1]
-    return (scale + factor * m[0] * m[0], off, off, scale + factor * m[1] * m[1])
+    return (1.0 + factor * m[0] * m[0], off, off, 1.0 + factor * m[1] * m[1])
 
 
 def product(a, b):

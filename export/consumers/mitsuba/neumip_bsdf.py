@@ -13,12 +13,11 @@
 | `level` | the level of every answer; absent: from the footprint |
 | `level_bias` | added to a footprint's level; 0 |
 | `pixel_angle` | angle between pixels in radians, for integrators that give no differentials; 0 |
-| `half` | textures in half floats; false |
 
 A footprint comes from `si.duv_dx` and `si.duv_dy`. The scalar `direct` fills them; `path` does not, and neither does any
-integrator in C++ of the other variants. There it is what `pixel_angle` spans at the distance of the last segment; where that is
-0 too, the level is 0, which is right and noisier. The surface needs texture coordinates (`check` says which has none). The material is one-sided, seen from
-below it is black, and is not symmetric in its directions: only integrators that start at the camera work.
+integrator in C++ of the other variants. There it is what `pixel_angle` spans at the distance of the last segment; where that
+is 0 too, the level is 0, which is right and noisier. The surface needs texture coordinates (`check` says which has none). The
+material is black from below, and not symmetric in its directions: only integrators that start at the camera work.
 """
 
 import math
@@ -43,7 +42,7 @@ def register():
             if not mi.variant().endswith("_rgb"):
                 raise BundleError(f"neumip: the variant {mi.variant()} is not RGB; set llvm_ad_rgb, cuda_ad_rgb or scalar_rgb")
             bundle = Bundle(properties["bundle"])
-            self.answerer = Answerer(bundle, properties.get("half", False))
+            self.answerer = Answerer(bundle)
             self.tiling = two_numbers(properties.get("tiling", 1.0))
             self.scale = properties.get("scale", 1.0)
             self.level = properties.get("level", None)

@@ -17,8 +17,8 @@ BUNDLE_FORMAT = 1
 CHECKPOINT_FORMAT = 1
 SAMPLER_FORMAT = 1
 MEASURE = "radiance-cosine"
-# Values of a sampler's network for one lobe: logit, centre x and y, log widths and shear, and their bounds.
-LOBE_BOUNDS = [(-20.0, 20.0), (-8.0, 8.0), (-8.0, 8.0), (-6.0, 2.0), (-4.0, 4.0), (-6.0, 2.0)]
+# Bounds of the values that a sampler's network gives for one lobe: logit, centre's x and y, log width, shear, log width.
+LOBE_BOUNDS = [(-20.0, 20.0), (-8.0, 8.0), (-8.0, 8.0), (-5.0, 2.0), (-4.0, 4.0), (-5.0, 2.0)]
 
 
 class BundleError(ValueError):

@@ -30,7 +30,6 @@ def main():
     parser.add_argument("--tiling", default="1", help='tiles along u and v, such as "8 4"')
     parser.add_argument("--level", type=float, help="one level for every answer")
     parser.add_argument("--level-bias", type=float, default=0.0)
-    parser.add_argument("--half", action="store_true", help="textures in half floats")
     parser.add_argument("--bsdf", choices=["neumip", "roughconductor"], default="neumip", help="to compare times")
     options = parser.parse_args()
     neumip_llvm.set_variant(options.variant)
@@ -41,8 +40,8 @@ def main():
     bsdf = {"type": options.bsdf}
     if options.bsdf == "neumip":
         angle = neumip_scene.pixel_angle(view.fov, options.size[0])
-        bsdf |= {"bundle": options.bundle, "tiling": options.tiling, "level_bias": options.level_bias}
-        bsdf |= {"pixel_angle": angle, "half": options.half}
+        bsdf |= {"bundle": options.bundle, "tiling": options.tiling}
+        bsdf |= {"level_bias": options.level_bias, "pixel_angle": angle}
         bsdf |= {} if options.level is None else {"level": options.level}
     else:
         bsdf |= {"alpha": 0.2, "material": "Au"}
