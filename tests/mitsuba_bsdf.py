@@ -22,6 +22,8 @@ LOBES = ["surface", "mirror"]
 SPREAD = 0.3
 # Pixels of a compared picture: few where each is answered by Python alone.
 SIDE = {"scalar_rgb": 16, "llvm_ad_rgb": 64}
+# Of a lobe's logit, centre, log width, shear and log width, by the format.
+BOUNDS = [(-20, 20), (-8, 8), (-8, 8), (-5, 2), (-4, 4), (-5, 2)]
 TILING = [3.0, 2.0]
 LIGHT = [0.4, -0.5, 0.8]
 
@@ -144,6 +146,9 @@ def sampling(bundle):
     relative += [float(np.max(np.abs(p / pdf - 1))) for p in (density, both[1])]
     (blurred,) = plugin.call("eval", u, wo, level + 0.5, wi)
     result = {"consistency": max(relative), "inconsistency": difference(weight * pdf, blurred)}
+    if (Path(bundle) / "sampler.safetensors").exists():
+        defined = [defined_pdf(bundle, u, wo, level + bias, wi) for bias in (0.0, 0.5)]
+        result["density"], result["density_twin"] = (float(np.max(np.abs(pdf / d - 1))) for d in defined)
     # Below the horizon, and from below it, nothing is.
     down = [1, 1, -1] * wi
     result["below"] = max(
@@ -167,6 +172,41 @@ def sampling(bundle):
     result["integral"], result["part"] = (float(np.max(np.abs(i))) for i in np.transpose(integrals) - 1)
     result["chi2"], result["chi2_twin"] = chi2(plugin, u[0], wo[0], 1.0), chi2(plugin, u[0], wo[0], 1.2)
     return result
+
+
+def defined_pdf(folder, u, wo, level, wi):
+    """The mixture's density as the sampler's format defines it, in 64 bits."""
+
+    class Recording(Material):
+        def features(self, u, level):
+            self.looked_up = super().features(u, level)
+            return self.looked_up
+
+    material = Recording(folder / "model.safetensors")
+    material.evaluate(u, wi[:, :2], wo[:, :2], level)
+    config, tensors = Bundle(folder).sampler
+    x = np.column_stack([material.looked_up, wo[:, :2]])
+    for k in (0, 1):
+        x = np.maximum(x, 0) if k else x
+        x = x @ tensors[f"sampler.mlp.{k}.weight"].T.astype(float) + tensors[f"sampler.mlp.{k}.bias"]
+    values = x.reshape(len(u), len(LOBES), 6)
+    logits = np.column_stack([np.zeros(len(u)), np.clip(values[..., 0], -20, 20)])
+    weights = np.exp(logits) / np.exp(logits).sum(1, keepdims=True) * (1 - config["cosine_floor"])
+    weights[:, 0] += config["cosine_floor"]
+    density = np.zeros(len(u))
+    for i, z in enumerate(wi[:, 2]):
+        m = -wo[i, :2] / max(wo[i, 2], config["min_z"])
+        for lobe, weight in zip([None, *range(len(LOBES))], weights[i]):
+            a, b = np.eye(2), np.zeros(2)
+            if lobe is not None:
+                _, cx, cy, p, r, q = np.clip(values[i, lobe], *zip(*BOUNDS))
+                a, b = np.array([[np.exp(p), 0], [r * np.exp(p), np.exp(q)]]), np.array([cx, cy])
+                if LOBES[lobe] == "mirror":
+                    t = np.eye(2) + np.outer(m, m)
+                    a, b = t @ a, m + t @ b
+            v = np.linalg.solve(a, wi[i, :2] - b * z)
+            density[i] += weight * z / (np.pi * abs(np.linalg.det(a)) * (z * z + v @ v) ** 2)
+    return density[:, None]
 
 
 def chi2(plugin, u, wo, bend):

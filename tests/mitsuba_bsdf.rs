@@ -14,6 +14,8 @@ const GOLDEN: f64 = golden::TOLERANCE;
 const CHANGED_WEIGHT: f32 = 1e-2;
 /// Largest disagreement of sample, eval, pdf and eval_pdf: they do the same arithmetic in another order.
 const CONSISTENCY: f64 = 1e-4;
+/// Largest relative difference of the density from its definition. Measured: 1.0e-5.
+const DENSITY: f64 = 1e-4;
 /// Largest error of the density's integral by 160,000 midpoints. Measured: 6e-6, with lobes a tenth wide.
 const INTEGRAL: f64 = 1e-3;
 /// Least p-value of the chi-square test. Its random numbers are the same each time; by chance 1 of 1,000 others falls below.
@@ -90,6 +92,7 @@ fn judge(result: &Value) {
         holds(result, &at("consistency"), &at("inconsistency"), CONSISTENCY);
         assert_eq!(number(result, &at("below")), 0.0, "light from below the horizon");
     }
+    holds(result, "/sampling/mixture/density", "/sampling/mixture/density_twin", DENSITY);
     for scene in ["plane", "sphere"] {
         let at = |name: &str| format!("/pictures/{scene}/{name}");
         assert!(number(result, &at("lit")) >= LIT, "{scene} is dark");
