@@ -17,6 +17,7 @@ mod house;
 mod inception;
 mod metrics;
 mod mitsuba;
+mod mitsuba_bsdf;
 mod model;
 mod onnx;
 mod python_environment;

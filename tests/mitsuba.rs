@@ -8,7 +8,7 @@
 
 mod scenes;
 
-use crate::python_environment;
+use crate::python_environment::{self, Python};
 use neumip::query::{QueryBuffer, RgbImage, above_horizon};
 use neumip::random::{Random, Stream};
 use neumip::reference::{Reference, ReferenceOptions, Sampling};
@@ -19,8 +19,9 @@ use serde_json::{Value, json};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// The releases whose `hair`, `bsplinecurve` and Python interface are known to work.
-const REQUIREMENTS: [&str; 2] = ["mitsuba>=3.9,<4", "numpy>=1.26,<3"];
+/// The releases whose `hair`, `bsplinecurve` and Python interface are known to work, and what the consumer's deferred
+/// shading runs its graph in: one environment for all tests with Mitsuba.
+const REQUIREMENTS: [&str; 3] = ["mitsuba>=3.9,<4", "numpy>=1.26,<3", "onnxruntime>=1.20,<2"];
 /// Set to `full`, renders everything and writes the docs.
 const EXTENT: &str = "NEUMIP_MITSUBA";
 
@@ -161,9 +162,14 @@ impl Difference {
     }
 }
 
+/// The interpreter that has Mitsuba, or why there is none.
+pub fn environment() -> Result<Python, String> {
+    python_environment::named("mitsuba-environment", &REQUIREMENTS)
+}
+
 /// Mitsuba's images, or why there are none.
 fn render(scenes: &[Scene], extent: &Extent) -> Result<Vec<Rendered>, String> {
-    let python = python_environment::named("mitsuba-environment", &REQUIREMENTS)?;
+    let python = environment()?;
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/mitsuba_render.py");
     let one = |scene: &Scene| -> Rendered {
         let folder = tempfile::tempdir().unwrap();
