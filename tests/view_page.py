@@ -96,7 +96,7 @@ def main():
         shape = (found["height"], found["width"], 3)
         arguments.out.write_bytes(npy(shape, base64.b64decode(found["pixels"])))
     if arguments.picture:
-        options = f"still={FRAMES}&{arguments.options}"
+        options = f"{arguments.options}&still={FRAMES}"
         size = arguments.size.replace("x", ",")
         out = arguments.picture.resolve()
         out.unlink(missing_ok=True)

@@ -22,7 +22,7 @@ vec3 cloth(vec2 s) {
   float hang = max(r - FLAT, 0.0);
   float fold = 0.66 * cos(9.0 * a + 0.4) + 0.3 * cos(5.0 * a + 1.3) + 0.16 * cos(14.0 * a);
   away += 0.34 * hang * hang / (0.2 + hang) * fold;
-  return vec3(r > 0.0 ? q * (away / r) : q, 0.3 - down);
+  return vec3(r > 0.0 ? q * (away / r) : q, 0.46 - down);
 }
 
 vec3 surface(vec2 s) { return shape == TORUS ? torus(s) : cloth(s); }
