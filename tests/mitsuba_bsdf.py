@@ -3,8 +3,8 @@
     python mitsuba_bsdf.py CONSUMERS VARIANT BUNDLE TWIN FOLDER RESULT.json
 
 CONSUMERS holds the folders `mitsuba` and `python`; TWIN is a bundle that answers otherwise and has BUNDLE's golden answers;
-FOLDER is for files made here. The result has differences, each beside that of a twin which must be larger, or `missing`: why the
-variant cannot run. Differences of answers are |difference| / (1 + |answer|).
+FOLDER is for files made here. The result has differences, each beside that of a twin which must be larger, or
+`missing`: why the variant cannot run. Differences of answers are |difference| / (1 + |answer|).
 """
 
 import hashlib
@@ -300,7 +300,9 @@ def picture(bundle, name):
     origin, target, fov = neumip_scene.CAMERAS[name]
     sensor = neumip_scene.camera(origin, target, [0, 0, 1], fov, [side, side])
     bsdf = {"type": "neumip", "bundle": str(bundle), "tiling": " ".join(map(str, TILING))}
-    ours = neumip_scene.render_centres(mi.load_dict(neumip_scene.scene(name, bsdf, sensor, LIGHT)))
+    world = mi.load_dict(neumip_scene.scene(name, bsdf, sensor, LIGHT))
+    neumip_bsdf.check(world)
+    ours = neumip_scene.render_centres(world)
 
     def most(theirs):
         return float(np.quantile(np.max(np.abs(ours - theirs) / (1 + np.abs(theirs)), axis=2), 0.99))
@@ -331,7 +333,8 @@ def furnace(bundle):
     """Largest relative difference of the rendered albedo and the integrated one; and with the reference seen from elsewhere."""
     rows = []
     for angle in (10.0, 55.0):
-        rows.append([neumip_furnace.rendered(bundle, angle, 1.0), neumip_furnace.integrated(bundle, angle, 1.0, 1 << 15)])
+        integrated = neumip_furnace.integrated(bundle, angle, 1.0, points=1 << 15)
+        rows.append([neumip_furnace.rendered(bundle, angle, 1.0), integrated])
     rendered, integrated = (np.array(column) for column in zip(*rows))
     return {
         "albedo": integrated.mean(1).tolist(),
@@ -399,7 +402,8 @@ def refusals(consumers, bundle, folder):
 
     def command(*arguments):
         script = [sys.executable, "-B", str(consumers / "mitsuba/neumip_example.py"), *arguments]
-        ended = subprocess.run([*script, "--out", str(folder / "x.png"), "--variant", mi.variant()], capture_output=True, text=True)
+        script += ["--out", str(folder / "x.png"), "--variant", mi.variant()]
+        ended = subprocess.run(script, capture_output=True, text=True)
         said(ended.stderr.strip(), *(["neumip: "] if ended.returncode == 1 else ["exit status", str(ended.returncode)]))
         return ended.stderr
 

@@ -40,7 +40,8 @@ def register():
         def __init__(self, properties):
             super().__init__(properties)
             if not mi.variant().endswith("_rgb"):
-                raise BundleError(f"neumip: the variant {mi.variant()} is not RGB; set llvm_ad_rgb, cuda_ad_rgb or scalar_rgb")
+                known = "llvm_ad_rgb, cuda_ad_rgb or scalar_rgb"
+                raise BundleError(f"neumip: the variant {mi.variant()} is not RGB; set {known}")
             bundle = Bundle(properties["bundle"])
             self.answerer = Answerer(bundle)
             self.tiling = two_numbers(properties.get("tiling", 1.0))
@@ -50,7 +51,8 @@ def register():
             self.pixel_angle = properties.get("pixel_angle", 0.0)
             numbers = [*self.tiling, self.scale, self.level_bias, self.pixel_angle, self.level or 0.0]
             if not all(map(math.isfinite, numbers)) or 0.0 in self.tiling or self.scale < 0 or self.pixel_angle < 0:
-                raise BundleError(f"neumip: tiling, scale, level, level_bias or pixel_angle is no usable number: {numbers}")
+                names = "tiling, scale, level_bias, pixel_angle or level"
+                raise BundleError(f"neumip: {names} is no usable number: {numbers}")
             self.name = bundle.description["material"]
             flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.SpatiallyVarying
             self.m_components = [int(flags) | NEEDS_DIFFERENTIALS]
@@ -138,6 +140,9 @@ def check(scene):
         if not shape.has_vertex_texcoords():
             raise BundleError(f"{shape.id()}: the mesh has no texture coordinates, which a neural material needs")
         arrays = mi.traverse(shape)
+        # A rectangle is a mesh whose arrays are not shown.
+        if "vertex_texcoords" not in arrays:
+            continue
         corners = np.array(arrays["vertex_texcoords"]).reshape(-1, 2)[np.array(arrays["faces"]).reshape(-1, 3)]
         sides = corners[:, 1:] - corners[:, :1]
         area = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]

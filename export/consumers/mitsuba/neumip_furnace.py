@@ -53,12 +53,13 @@ def rendered(folder, angle, level, side=32, spp=64, seed=0):
     # The film is parallel to the plane and covers it; Mitsuba's film runs against the camera's x and y.
     matrix[:3, 0], matrix[:3, 1] = [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]
     matrix[:3, 2], matrix[:3, 3] = -viewer(angle), viewer(angle)
-    film = {"type": "hdrfilm", "width": side, "height": side, "rfilter": {"type": "box"}, "component_format": "float32"}
+    film = {"type": "hdrfilm", "width": side, "height": side, "component_format": "float32"}
+    sensor = {"type": "orthographic", "to_world": mi.ScalarTransform4f(matrix), "near_clip": 1e-3}
     world = mi.load_dict(
         {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": 2},
-            "sensor": {"type": "orthographic", "to_world": mi.ScalarTransform4f(matrix), "near_clip": 1e-3, "film": film},
+            "sensor": sensor | {"film": film | {"rfilter": {"type": "box"}}},
             "light": {"type": "constant", "radiance": {"type": "rgb", "value": 1.0}},
             "surface": {"type": "rectangle", "bsdf": {"type": "neumip", "bundle": str(folder), "level": float(level)}},
         }
@@ -78,9 +79,10 @@ def main():
 
     Bundle(options.bundle)
     for angle in ANGLES:
-        pair = [integrated(options.bundle, angle, options.level), rendered(options.bundle, angle, options.level, spp=options.spp)]
-        row = {"angle": angle, "integral": pair[0].round(4).tolist(), "rendered": pair[1].round(4).tolist()}
-        print(json.dumps(row | {"ratio": (pair[1] / np.maximum(pair[0], 1e-9)).round(4).tolist()}))
+        integral = integrated(options.bundle, angle, options.level)
+        seen = rendered(options.bundle, angle, options.level, spp=options.spp)
+        row = {"integral": integral, "rendered": seen, "ratio": seen / np.maximum(integral, 1e-9)}
+        print(json.dumps({"angle": angle} | {name: values.round(4).tolist() for name, values in row.items()}))
 
 
 if __name__ == "__main__":

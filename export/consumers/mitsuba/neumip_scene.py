@@ -88,7 +88,8 @@ def directional(towards):
 def sky(height=128):
     """A made-up environment: a blue sky over brown ground, a low sun, a window to the other side."""
     width = 2 * height
-    theta, phi = np.meshgrid((np.arange(height) + 0.5) / height * math.pi, (np.arange(width) + 0.5) / width * 2 * math.pi, indexing="ij")
+    theta, phi = ((np.arange(n) + 0.5) / n for n in (height, width))
+    theta, phi = np.meshgrid(theta * math.pi, phi * 2.0 * math.pi, indexing="ij")
     up = np.cos(theta)
     blue, horizon, ground = (np.array(c) for c in ([0.25, 0.45, 0.9], [0.9, 0.9, 0.85], [0.20, 0.16, 0.12]))
     fade = np.clip(up, 0.0, 1.0)[..., None] ** 0.5
@@ -117,7 +118,8 @@ def torus(bsdf, large=0.75, small=0.35, sides=(192, 96)):
     quads = np.stack([first, first + n + 1, first + n + 2, first + 1], 1)
     properties = mi.Properties()
     properties["bsdf"] = bsdf
-    mesh = mi.Mesh("torus", points[..., 0].size, 2 * len(quads), props=properties, has_vertex_normals=True, has_vertex_texcoords=True)
+    has = {"has_vertex_normals": True, "has_vertex_texcoords": True}
+    mesh = mi.Mesh("torus", points[..., 0].size, 2 * len(quads), props=properties, **has)
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = points.astype(np.float32).ravel()
     parameters["vertex_normals"] = normals.astype(np.float32).ravel()
@@ -152,7 +154,8 @@ def render_centres(world):
     width, height = sensor.film().size()
 
     def radiance(x, y):
-        ray, _ = sensor.sample_ray_differential(0.0, 0.5, mi.Point2f((x + 0.5) / width, (y + 0.5) / height), mi.Point2f(0.5))
+        middle = mi.Point2f((x + 0.5) / width, (y + 0.5) / height)
+        ray, _ = sensor.sample_ray_differential(0.0, 0.5, middle, mi.Point2f(0.5))
         si = world.ray_intersect(ray)
         hit = si.is_valid()
         if not mi.variant().startswith("scalar"):
