@@ -79,7 +79,10 @@ class Bundle:
 
     def graph(self, name):
         """The interface of a graph."""
-        return next(g for g in self.description["graphs"] if g["file"] == f"{name}.onnx")
+        for graph in self.description["graphs"]:
+            if graph["file"] == f"{name}.onnx":
+                return graph
+        raise ValueError(f"{self.folder}: has no {name}.onnx")
 
     def check(self):
         """Largest difference from the golden answers, and what is allowed, of every way to evaluate."""
