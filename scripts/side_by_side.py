@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
-CAMERA = {"origin": [0.0, -2.6, 1.9], "target": [0.0, 0.0, 0.0], "up": [0.0, 0.0, 1.0], "fov": 45.0}
+CAMERA = {"origin": [0.0, -2.0, 2.4], "target": [0.0, -0.05, 0.0], "up": [0.0, 0.0, 1.0], "fov": 42.0}
 SCENES = {
     "plane": {"shape": "plane", "tiling": [2, 2], "light": [0.4, -0.3, 0.8], "camera": CAMERA},
     "sphere": {"shape": "sphere", "tiling": [6, 3], "light": [0.6, -0.6, 0.6], "camera": CAMERA},

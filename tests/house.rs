@@ -58,7 +58,10 @@ const FLOW: [(&str, &[&str]); 30] = [
     ("report", &["query", "metrics", "srgb"]),
     ("view", &["query", "report", "export"]),
     // Runs and bundles are opened here; what answers for them is the caller's choice.
-    ("render", &["query", "random", "srgb", "reference", "metrics", "report", "checkpoint", "export"]),
+    (
+        "render",
+        &["query", "random", "srgb", "reference", "metrics", "report", "checkpoint", "sampler", "export"],
+    ),
     (
         "reproduce",
         &[

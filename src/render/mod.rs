@@ -22,6 +22,7 @@ pub mod camera;
 pub mod compare;
 pub mod directions;
 pub mod environment;
+mod fitted;
 pub mod folder;
 pub mod format;
 pub mod frame_file;
@@ -37,6 +38,7 @@ pub mod world;
 
 pub use asked::Asked;
 pub use directions::{Cosine, Directions, Lobes, View};
+pub use fitted::directions_of;
 pub use format::SceneFile;
 pub use material::{Material, Model};
 pub use picture::{Cost, Picture, Progress};
