@@ -132,24 +132,22 @@ fn wgsl(w: &mut Writer, textures: &[Texture], vectors: usize) {
 fn hlsl(w: &mut Writer, textures: &[Texture], vectors: usize) {
     let constants = w.storage == Storage::Constants;
     w.line("#ifndef NEUMIP_TEXTURE_REGISTER");
-    for (name, register) in [
-        ("TEXTURE", "t0"),
-        ("OFFSET", "t1"),
-        ("WEIGHTS", if constants { "b0" } else { "t2" }),
-        ("SAMPLER", "s0"),
-    ] {
+    // No number twice: compilers for Vulkan make one row of all kinds.
+    let weights = if constants { "b2" } else { "t2" };
+    for (name, register) in [("TEXTURE", "t0"), ("OFFSET", "t1"), ("WEIGHTS", weights), ("SAMPLER", "s3")] {
         w.line(format!("#define NEUMIP_{name}_REGISTER {register}"));
     }
     w.line("#endif");
     if !w.is_exact() {
-        w.comment("At least 16 bits; define NEUMIP_HALF as half for exactly 16 (-enable-16bit-types).");
-        w.line("#ifndef NEUMIP_HALF");
-        for n in ["", "2", "3", "4"] {
-            w.line(format!("#define NeumipHalf{n} min16float{n}"));
-        }
-        w.line("#else");
-        for n in ["", "2", "3", "4"] {
-            w.line(format!("#define NeumipHalf{n} half{n}"));
+        w.comment("At least 16 bits, or exactly 16 where NEUMIP_HALF is defined (-enable-16bit-types) and in Slang.");
+        w.line("#if defined(NEUMIP_HALF) || defined(__SLANG__)");
+        for (otherwise, name) in [(false, "half"), (true, "min16float")] {
+            if otherwise {
+                w.line("#else");
+            }
+            for n in ["", "2", "3", "4"] {
+                w.line(format!("#define NeumipHalf{n} {name}{n}"));
+            }
         }
         w.line("#endif");
     }

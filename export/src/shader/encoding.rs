@@ -79,8 +79,11 @@ fn encode(
     for band in 0..source.bands {
         let (sine, cosine) = (format!("{name}_sin{band}"), format!("{name}_cos{band}"));
         if band % RESTART == 0 {
-            let (octave, turn) = (format!("{name}_octave{band}"), format!("{name}_turn{band}"));
-            w.declare_precise(of, &octave, &format!("{name} * {}", number((1u32 << band) as f32)));
+            let (mut octave, turn) = (name.to_string(), format!("{name}_turn{band}"));
+            if band > 0 {
+                octave = format!("{name}_octave{band}");
+                w.declare_precise(of, &octave, &format!("{name} * {}", number((1u32 << band) as f32)));
+            }
             let reduced = match pi {
                 true => format!("{octave} - 2.0 * floor(({octave} + 1.0) * 0.5)"),
                 false => format!("neumip_half_turns{components}({octave})"),

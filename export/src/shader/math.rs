@@ -25,7 +25,7 @@ pub fn sines(w: &mut Writer, components: usize) {
     w.comment("sin(pi x) for |x| <= 1/2.");
     w.function(of, &format!("neumip_sine{components}"), &[(of, "x".into())], |w| {
         w.declare(of, "y", "x * x");
-        let [s0, s1, s2, s3, s4] = SINE.map(|s| plus(s));
+        let [s0, s1, s2, s3, s4] = SINE.map(plus);
         w.line(format!(
             "return x * ((((y * {}{s3}) * y{s2}) * y{s1}) * y{s0});",
             s4.trim_start_matches(" + ")
@@ -101,4 +101,47 @@ pub fn exp_minus_one(w: &mut Writer) {
 /// A number to add, with its sign.
 fn plus(value: f32) -> String {
     if value < 0.0 { format!(" - {}", number(-value)) } else { format!(" + {}", number(value)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What the polynomial of sin(pi x) may be off: three roundings of values up to 1.
+    const SINE_ERROR: f64 = 2.5e-7;
+    /// What that of e^x - 1 may be off, relative to |x|.
+    const EXPONENTIAL_ERROR: f64 = 2.5e-7;
+
+    fn sine(x: f32, moved: f32) -> f32 {
+        let y = x * x;
+        let [s0, s1, s2, s3, s4] = SINE;
+        x * ((((y * s4 + s3) * y + s2 + moved) * y + s1) * y + s0)
+    }
+
+    fn exponential(r: f32, moved: f32) -> f32 {
+        let tail = EXPONENTIAL.iter().rev().fold(0.0, |sum, c| sum * r + c);
+        r + r * r * (tail + moved)
+    }
+
+    #[test]
+    fn polynomials_follow_float64_and_a_moved_coefficient_is_noticed() {
+        let sines = |moved: f32| {
+            let points = (-1000..=1000).map(|k| k as f32 / 2000.0);
+            let errors = points
+                .map(|x| (f64::from(sine(x, moved)) - (std::f64::consts::PI * f64::from(x)).sin()).abs());
+            errors.fold(0.0, f64::max)
+        };
+        assert!(sines(0.0) < SINE_ERROR, "{:e}", sines(0.0));
+        assert!(sines(1e-4) > SINE_ERROR);
+        let exponentials = |moved: f32| {
+            let points = (1..=1000).flat_map(|k| [k, -k]).map(|k| k as f32 * 0.000_346_57);
+            let errors = points.map(|r| {
+                let exact = f64::from(r).exp_m1();
+                (f64::from(exponential(r, moved)) - exact).abs() / exact.abs()
+            });
+            errors.fold(0.0, f64::max)
+        };
+        assert!(exponentials(0.0) < EXPONENTIAL_ERROR, "{:e}", exponentials(0.0));
+        assert!(exponentials(1e-4) > EXPONENTIAL_ERROR);
+    }
 }

@@ -211,3 +211,35 @@ pub fn joined(values: &[String]) -> Vec<String> {
     };
     runs.into_iter().map(name).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn neighbours_of_one_vector_are_written_as_one_value() {
+        let of = |values: &[&str]| joined(&values.iter().map(|v| v.to_string()).collect::<Vec<_>>());
+        assert_eq!(of(&["a.x", "a.y", "a.z", "a.w"]), ["a"]);
+        assert_eq!(of(&["a.z", "a.w", "b.x", "c"]), ["a.zw", "b.x", "c"]);
+        assert_eq!(of(&["c", "c"]), ["c", "c"]);
+    }
+
+    #[test]
+    fn inputs_keep_their_place_in_the_rows() {
+        let layer = Layer {
+            network: DECODER_MLP.into(),
+            layer: 0,
+            inputs: 11,
+            outputs: 5,
+            padded_inputs: 16,
+            padded_outputs: 16,
+            weight: 0,
+            bias: 256,
+        };
+        let part = Part::of(&layer, "", (2..5).chain(9..11), true);
+        let places: Vec<(usize, &str)> =
+            part.registers.iter().map(|r| (r.vector, r.lanes.as_str())).collect();
+        assert_eq!(places, [(0, "zw"), (1, "x"), (2, "yz")]);
+        assert_eq!(output_widths(&layer), [4, 1]);
+    }
+}

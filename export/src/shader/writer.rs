@@ -93,6 +93,7 @@ impl<'a> Writer<'a> {
     pub fn splat(&self, of: Type, value: &str) -> String {
         match (of, self.language) {
             (Float(1) | Int(1), _) => value.into(),
+            (Half(_), Language::Hlsl) if !self.is_exact() => format!("({}){value}", self.name(of)),
             (Float(n) | Half(n) | Int(n), Language::Hlsl) => self.make(of, &vec![value; n].join(", ")),
             _ => self.make(of, value),
         }
@@ -256,4 +257,37 @@ pub fn number(value: f32) -> String {
 /// The `k`-th letter of a vector.
 pub fn letter(k: usize) -> char {
     ['x', 'y', 'z', 'w'][k % 4]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn literals_are_the_same_numbers_and_have_a_point() {
+        let mut values =
+            vec![0.0, -0.0, 1.0, -25.0, 0.1, 1e-5, 123_456.79, 1.5e7, -3.4e38, f32::MIN_POSITIVE];
+        values.extend((0..4000).map(|k| f32::from_bits(0x0100_0000 + k * 500_009)));
+        for value in values.into_iter().filter(|v| v.is_finite()) {
+            let text = number(value);
+            assert_eq!(text.parse::<f32>().unwrap(), value, "{text}");
+            assert!(text.contains('.') && text.bytes().all(|b| b"0123456789.e-".contains(&b)), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_declaration_is_spelled_four_times() {
+        let spelled = Language::ALL.map(|language| {
+            let mut w = Writer::new(language, Mode::Fast, Storage::Constants, None);
+            w.declare(Half(3), "x", &w.splat(Half(3), "0.0"));
+            w.finish()
+        });
+        let expected = [
+            "mediump vec3 x = vec3(0.0);\n",
+            "vec3 x = vec3(0.0);\n",
+            "let x = NeumipHalf3(0.0);\n",
+            "NeumipHalf3 x = (NeumipHalf3)0.0;\n",
+        ];
+        assert_eq!(spelled, expected);
+    }
 }

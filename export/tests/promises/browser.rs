@@ -15,10 +15,10 @@ use std::process::Command;
 /// Largest |difference| / (1 + |value|) of the exact source: the tolerance of golden answers.
 const EXACT: f64 = 2e-5;
 /// The same of the fast one, on a trained material: the hardware places a sample on 1/256 of a texel, and texels are half floats.
-/// Measured: 1e-3 on it, 0.3e-3 on materials of 128 x 128 texels.
-const FAST: f64 = 4e-3;
-/// The same of directions and densities, which steep lobes make large.
-const SAMPLED: f64 = 1e-4;
+/// Measured: 2.3e-4. It is what the head of the source says.
+const FAST: f64 = 1e-3;
+/// The same of directions and densities. Measured: 4e-6, as steep lobes make roundings larger.
+const SAMPLED: f64 = 2e-5;
 /// What the twins change a weight by: a percent of one of usual size.
 const CHANGED: f32 = 1e-2;
 /// Queries of a material: as many as the golden ones.
@@ -161,6 +161,10 @@ fn all_kinds(folder: &Path, jobs: &mut Jobs) {
     for (k, (_, mut model, resolution)) in cases().into_iter().enumerate() {
         // Small networks: a browser takes long to compile large ones. Widths that do not fill a vector.
         model.decoder = DecoderConfig::Mlp { hidden: vec![13, 6] };
+        if !model.encoding.pi {
+            // As far as an encoding may go: angles of 2^23.
+            model.encoding.u.bands = neumip_export::config::MAX_BANDS;
+        }
         if let ParallaxConfig::Offset(offset) = &mut model.parallax {
             offset.hidden = vec![3 + k];
         }
@@ -235,6 +239,7 @@ fn sources_answer_in_a_browser_and_changed_weights_are_noticed() {
         words.and_then(|number| number.parse::<f64>().ok()).unwrap_or_else(|| panic!("{line}"))
     });
     let largest: Vec<f64> = largest.collect();
+    println!("{said}");
     assert_eq!(largest.len(), jobs.names.len(), "{said}");
     for ((name, within), found) in jobs.names.iter().zip(&jobs.within).zip(&largest) {
         assert!((within[0]..=within[1]).contains(found), "{name}: {found:e} is not in {within:?}\n{said}");
