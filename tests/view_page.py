@@ -1,6 +1,6 @@
 """Opens a viewer's page in headless Chromium and takes something out of it. The standard library only.
 
-    python view_page.py PAGE --selftest               golden answers by the page's shaders and times, as JSON
+    python view_page.py PAGE --selftest [--times]     golden answers by the page's shaders, milliseconds of a 256 x 256 frame
     python view_page.py PAGE --render SCENE.json --out picture.npy
                                                       linear RGB of a scene, [height, width, 3] floats, rows from the top
     python view_page.py PAGE --picture out.png [--size 1200x760] [--options "shape=torus&tiling=4,2"]
@@ -73,6 +73,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("page")
     parser.add_argument("--selftest", action="store_true")
+    parser.add_argument("--times", action="store_true")
     parser.add_argument("--render", type=pathlib.Path)
     parser.add_argument("--out", type=pathlib.Path)
     parser.add_argument("--picture", type=pathlib.Path)
@@ -85,7 +86,7 @@ def main():
         print("no Chromium: " + ", ".join(PROGRAMS), file=sys.stderr)
         sys.exit(3)
     if arguments.selftest:
-        print(json.dumps(result(program, arguments.page, "selftest")))
+        print(json.dumps(result(program, arguments.page, "selftest=times" if arguments.times else "selftest")))
     if arguments.render:
         if not arguments.out:
             parser.error("--render needs --out")

@@ -7,7 +7,7 @@ use neumip::dataset::{Scene, write_query_frame};
 use neumip::export::{Architecture, Bundle, Checkpoint, Precision, read_bundle, write_bundle};
 use neumip::golden;
 use neumip::inference::answerer;
-use neumip::query::{QueryBuffer, Reflectance, RgbImage};
+use neumip::query::{QueryBuffer, RgbImage};
 use neumip::view::{MOST_PIXELS, Reference, html};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};

@@ -81,7 +81,7 @@ pub fn html(bundle: &Bundle, reference: Option<&Reference>) -> Result<String> {
     let modes = [("exact", Mode::Exact), ("fast", Mode::Fast)];
     let modes = modes.map(|(name, mode)| Ok((name, shader::source(&material, Language::GlslEs, mode)?)));
     let modes = modes.into_iter().collect::<Result<_>>()?;
-    let reference_of = reference.map(|r| described(r)).transpose()?;
+    let reference_of = reference.map(described).transpose()?;
     let (places, text) = numbers::pack(bundle, reference)?;
     let page = Page {
         name: &header.material,

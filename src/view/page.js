@@ -545,7 +545,7 @@
       answer: (queries, mode = "exact") => engine.answer(queries, mode),
       // Milliseconds of a frame of 256 x 256 pixels, all of the plane.
       time: (mode = "exact") => timed(engine, mode),
-      selftest: (tolerance) => selftest(engine, data, numbers, tolerance),
+      selftest: (times) => selftest(engine, data, numbers, times),
     };
     canvas.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
@@ -562,7 +562,7 @@
       }
     });
     if (asked.has("selftest")) {
-      const result = window.neumip.selftest();
+      const result = window.neumip.selftest(asked.get("selftest") === "times");
       document.title = result.right ? "right" : "wrong";
       return say(result);
     }
