@@ -78,11 +78,10 @@ impl Sampler {
 }
 
 fn text(measured: &Measured) -> String {
-    let Cost { answer, lobes, features, sample } = measured.cost;
+    let Cost { answer, lobes, sample, .. } = measured.cost;
     let mut out = format!(
-        "{}: {answer:.0} ns an answer, {:.0} ns the lobes of a prepared query, {sample:.0} ns a sample (one thread)\n",
-        measured.material,
-        lobes - features
+        "{}: {answer:.0} ns an answer, {lobes:.0} ns the lobes of a prepared query, {sample:.0} ns a sample (one thread)\n",
+        measured.material
     );
     if measured.provenance["fallback"] == true {
         out += "the mixture was no better than the cosine, which is all that the file holds\n";

@@ -17,10 +17,10 @@ const QUERIES: usize = 1 << 15;
 pub struct Cost {
     /// An answer of the material.
     pub answer: f64,
-    /// The lobes of a query, with the lookup of its features, which a renderer that prepares queries has done already.
-    pub lobes: f64,
-    /// The lookup of the features alone.
+    /// The features of a query, which a renderer that prepares queries looks up anyway.
     pub features: f64,
+    /// The lobes of a query whose features are known.
+    pub lobes: f64,
     /// A direction and its density.
     pub sample: f64,
 }
@@ -48,23 +48,23 @@ fn timed(sampler: &MaterialSampler, rounds: usize) -> Result<Cost> {
         let begun = Instant::now();
         std::hint::black_box(sampler.material().evaluate(&queries)?);
         let answered = Instant::now();
-        std::hint::black_box(sampler.material().features(&u, &level, &wo)?);
+        let features = sampler.material().features(&u, &level, &wo)?;
         let looked = Instant::now();
-        let lobes = sampler.lobes(&u, &level, &wo)?;
+        let lobes = sampler.lobes_of(&features, &wo)?;
         let chosen = Instant::now();
         let sampled: Vec<_> = lobes.iter().zip(&xi).map(|(lobes, xi)| lobes.sample(*xi)).collect();
         let done = Instant::now();
         std::hint::black_box(sampled);
         if round > 0 {
-            let spans = [answered - begun, chosen - looked, looked - answered, done - chosen];
+            let spans = [answered - begun, looked - answered, chosen - looked, done - chosen];
             for (times, span) in times.iter_mut().zip(spans) {
                 times.push(1e9 * span.as_secs_f64() / QUERIES as f64);
             }
         }
     }
-    let [answer, lobes, features, sample] = times.map(|mut times| {
+    let [answer, features, lobes, sample] = times.map(|mut times| {
         times.sort_by(f64::total_cmp);
         times[times.len() / 2]
     });
-    Ok(Cost { answer, lobes, features, sample })
+    Ok(Cost { answer, features, lobes, sample })
 }

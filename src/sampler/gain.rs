@@ -151,8 +151,8 @@ pub(super) fn variances(
     let (mut mean, mut square, mut moments) = (0.0, 0.0, [0.0; 2]);
     for (wi, rgb) in wi.iter().zip(rgb) {
         let lit = f64::from(value(rgb)) * f64::from(light.radiance(*wi));
-        // What is folded below the horizon may come back by its last bit, where no sample goes.
-        if lit == 0.0 || wi[2] <= 0.0 {
+        // Lower ones are above or below the horizon by the last bits of x and y.
+        if lit == 0.0 || wi[2] < horizon::LOWEST {
             continue;
         }
         let densities = [&cosine, lobes].map(|by| f64::from(by.pdf(*wi)));

@@ -50,7 +50,8 @@ pub fn golden(checkpoint: &Checkpoint, sampler: &Sampler, n: usize, seed: u64) -
     let queries = probes(n.saturating_mul(TRIES), coarsest, seed);
     for at in (0..queries.len()).step_by(n) {
         let part = queries.range(at, at + n);
-        let outputs = sampler.outputs(&part.u, &part.level, &part.wo)?;
+        let outputs =
+            sampler.outputs(&sampler.material().features(&part.u, &part.level, &part.wo)?, &part.wo)?;
         for (k, outputs) in outputs.chunks_exact(sampler.width()).enumerate() {
             let wo = part.wo[k];
             let xi = numbers(seed, (at + k) as u64);

@@ -5,7 +5,7 @@
 use std::f32::consts::TAU;
 
 /// Lowest z: two 32-bit floats (x, y) tell no lower one from 0.
-const LOWEST: f32 = 4e-4;
+pub(super) const LOWEST: f32 = 4e-4;
 
 /// A unit vector, uniform in azimuth and in the logarithm of z.
 pub(super) fn sample(xi: [f32; 2]) -> [f32; 3] {

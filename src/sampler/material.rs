@@ -60,7 +60,16 @@ impl MaterialSampler {
     /// # Errors
     /// `Config` if the slices differ in length or a value is not finite, or if the decoder reads neighbours.
     pub fn lobes(&self, u: &[[f32; 2]], level: &[f32], wo: &[[f32; 2]]) -> Result<Vec<Lobes>> {
-        let outputs = self.outputs(u, level, wo)?;
+        self.lobes_of(&self.material.features(u, level, wo)?, wo)
+    }
+
+    /// The mixtures of queries seen from `wo` whose features \[queries\]\[channels\] were looked up before
+    /// ([`FusedMaterial::features`]).
+    ///
+    /// # Errors
+    /// `Config` if the slices do not fit each other.
+    pub fn lobes_of(&self, features: &[f32], wo: &[[f32; 2]]) -> Result<Vec<Lobes>> {
+        let outputs = self.outputs(features, wo)?;
         let each = outputs.par_chunks_exact(self.width()).zip(wo).with_min_len(TILE);
         Ok(each.map(|(outputs, wo)| Lobes::new(&self.config, outputs, *wo)).collect())
     }
@@ -76,9 +85,12 @@ impl MaterialSampler {
     }
 
     /// The network's outputs \[queries\]\[width\].
-    pub(super) fn outputs(&self, u: &[[f32; 2]], level: &[f32], wo: &[[f32; 2]]) -> Result<Vec<f32>> {
-        let features = self.material.features(u, level, wo)?;
+    pub(super) fn outputs(&self, features: &[f32], wo: &[[f32; 2]]) -> Result<Vec<f32>> {
         let (channels, width) = (self.config.features, self.width());
+        if features.len() != channels * wo.len() {
+            let problem = format!("{} where {} queries have {channels} each", features.len(), wo.len());
+            return Err(Error::config("features", problem));
+        }
         let mut outputs = vec![0.0; wo.len() * width];
         let chunks = outputs.par_chunks_mut(CHUNK * width).zip(wo.par_chunks(CHUNK));
         let chunks = chunks.zip(features.par_chunks(CHUNK * channels));

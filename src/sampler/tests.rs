@@ -376,5 +376,6 @@ fn what_is_wrong_is_named() {
     let sampler = MaterialSampler::from_checkpoint(&tiny(), &foreign).unwrap();
     assert!(sampler.lobes(&[[0.0; 2]], &[f32::NAN], &[[0.0; 2]]).is_err());
     assert!(sampler.lobes(&[[0.0; 2]], &[], &[[0.0; 2]]).is_err());
+    assert!(sampler.lobes_of(&[0.0; 4], &[[0.0; 2]]).is_err());
     assert!(gain(&sampler, &FURNACE, 1, 1).is_err());
 }
