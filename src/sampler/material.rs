@@ -114,10 +114,7 @@ impl MaterialSampler {
     /// For each query a direction of light, a unit vector, and its density over solid angle, from two numbers in [0, 1).
     ///
     /// # Errors
-    /// As [`MaterialSampler::lobes`].
-    ///
-    /// # Panics
-    /// If `xi` has another length.
+    /// As [`MaterialSampler::lobes`], and `Config` if `xi` has another length.
     pub fn sample(
         &self,
         u: &[[f32; 2]],
@@ -125,7 +122,9 @@ impl MaterialSampler {
         wo: &[[f32; 2]],
         xi: &[[f32; 2]],
     ) -> Result<Vec<([f32; 3], f32)>> {
-        assert_eq!(xi.len(), u.len(), "two numbers a query");
+        if xi.len() != u.len() {
+            return Err(Error::config("xi", format!("has {} entries where u has {}", xi.len(), u.len())));
+        }
         let lobes = self.lobes(u, level, wo)?;
         Ok(lobes.par_iter().zip(xi).map(|(lobes, xi)| lobes.sample(*xi)).collect())
     }
@@ -133,12 +132,11 @@ impl MaterialSampler {
     /// For each query the density over solid angle of a direction, a unit vector; 0 on and below the horizon.
     ///
     /// # Errors
-    /// As [`MaterialSampler::lobes`].
-    ///
-    /// # Panics
-    /// If `wi` has another length.
+    /// As [`MaterialSampler::lobes`], and `Config` if `wi` has another length.
     pub fn pdf(&self, u: &[[f32; 2]], level: &[f32], wo: &[[f32; 2]], wi: &[[f32; 3]]) -> Result<Vec<f32>> {
-        assert_eq!(wi.len(), u.len(), "a direction a query");
+        if wi.len() != u.len() {
+            return Err(Error::config("wi", format!("has {} entries where u has {}", wi.len(), u.len())));
+        }
         let lobes = self.lobes(u, level, wo)?;
         Ok(lobes.par_iter().zip(wi).map(|(lobes, wi)| lobes.pdf(*wi)).collect())
     }

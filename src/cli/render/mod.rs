@@ -11,7 +11,7 @@ use crate::render::compare::{Comparison, side_by_side};
 use crate::render::folder::Folder;
 use crate::render::format::{DEFAULT_MATERIAL, MaterialSpec, SceneFile};
 use crate::render::frame_file::{self, Label};
-use crate::render::{Cosine, Cost, Model, OpenOptions, Scene};
+use crate::render::{Cost, Model, OpenOptions, Scene, directions_of};
 use crate::report::picture;
 use candle_core::Device;
 use clap::Args;
@@ -128,17 +128,16 @@ impl Render {
 
     fn default_material(&self) -> Result<Option<MaterialSpec>> {
         let Some(path) = &self.material else { return Ok(None) };
-        // Paths of a scene are relative to it, those of the command line are not.
-        let whole = std::path::absolute(path).map_err(|e| Error::file(path, e))?;
-        Ok(Some(MaterialSpec::model(&whole)))
+        Ok(Some(MaterialSpec::model(&absolute(path)?)))
     }
 
     fn open(&self, file: SceneFile, path: &Path, default_material: Option<MaterialSpec>) -> Result<Scene> {
         let precision = if self.half_textures { Precision::Half } else { Precision::Single };
-        let engine = |checkpoint: &_, _: &Path| {
+        let engine = |checkpoint: &_, path: &Path| {
             let answers = answerer(checkpoint, self.engine, precision, &Device::Cpu)?.material;
-            let identity = format!("{:?} {precision:?}", self.engine.unwrap_or(EngineKind::Fused));
-            Ok(Model { answers, directions: Box::new(Cosine), identity })
+            let (directions, sampler) = directions_of(checkpoint, path)?;
+            let identity = format!("{:?} {precision:?} {sampler}", self.engine.unwrap_or(EngineKind::Fused));
+            Ok(Model { answers, directions, identity })
         };
         Scene::open(file, path, &OpenOptions { default_material, seed: self.seed, engine: &engine })
     }
@@ -149,8 +148,16 @@ impl Render {
         let models = scene.materials.iter().filter_map(|m| m.trained_on.as_ref().map(|name| (m, name)));
         for (material, trained_on) in models {
             let surface = match self.compare.as_deref() {
-                Some(surface) if surface != TRAINED_ON => surface.to_string(),
-                _ => trained_on.clone(),
+                Some(surface) if surface != TRAINED_ON && is_built_in(surface) => surface.to_string(),
+                // Paths of a scene are relative to it, those of the command line are not.
+                Some(surface) if surface != TRAINED_ON => absolute(Path::new(surface))?.display().to_string(),
+                _ if is_built_in(trained_on) => trained_on.clone(),
+                _ => {
+                    return Err(Error::usage(format!(
+                        "--compare: {trained_on}, which the model was trained on, is no built-in material; name its \
+                         surface, --compare=material.json"
+                    )));
+                }
             };
             let spec = MaterialSpec {
                 reference: Some(surface),
@@ -178,6 +185,8 @@ impl Render {
         let each = (first.camera.width() * first.camera.height() * first.samples) as u64;
         let mut meter = console.meter(of, missing * each, "rays");
         let (begun, mut rays, mut queries) = (Instant::now(), 0, 0);
+        // Rates count from here, not from the first batch.
+        meter.show(0, "");
         let mut frames = Vec::with_capacity(count);
         for (index, label) in kept.into_iter().enumerate() {
             let png = folder.path(index, kind, "png");
@@ -244,4 +253,12 @@ impl Render {
         let fps = scene.file.path.as_ref().map_or(1, |path| path.fps);
         Ok(write_whole(&folder.animation(), &frame_file::animation(scene.frames(), fps, shown)?)?)
     }
+}
+
+fn is_built_in(surface: &str) -> bool {
+    crate::reference::builtin::NAMES.contains(&surface)
+}
+
+fn absolute(path: &Path) -> Result<PathBuf> {
+    std::path::absolute(path).map_err(|e| Error::file(path, e))
 }
