@@ -107,7 +107,7 @@ static SHARED: LazyLock<TempDir> = LazyLock::new(|| {
     succeed(folder, &format!("generate tile --out data --resolution 16 {SMALL}"));
     succeed(folder, &format!("generate tile --out coarse --resolution 8 {SMALL}"));
     succeed(folder, &format!("train data --out run {SHORT}"));
-    succeed(folder, "export run --out bundle");
+    succeed(folder, "export run --out bundle --no-sampler");
     std::fs::create_dir(folder.join("precious")).unwrap();
     std::fs::write(folder.join("precious/thesis.txt"), "years").unwrap();
     std::fs::write(folder.join("file"), "text").unwrap();
@@ -486,7 +486,7 @@ fn bad_checkpoints_and_bundles_are_refused() {
 fn half_textures_are_an_option_of_the_export_that_says_what_it_costs() {
     let workshop = workshop();
     let folder = workshop.path();
-    let said = succeed(folder, "export run --out half --half-textures --json half.json");
+    let said = succeed(folder, "export run --out half --half-textures --no-sampler --json half.json");
     assert!(said.contains("half textures move the answers by at most"), "{said}");
     let read =
         |name: &str| -> Value { serde_json::from_slice(&std::fs::read(folder.join(name)).unwrap()).unwrap() };
@@ -512,11 +512,11 @@ fn half_textures_are_an_option_of_the_export_that_says_what_it_costs() {
         let all = contents(&folder.join(name)).into_iter();
         all.map(|(path, bytes)| (path.file_name().unwrap().into(), bytes)).collect()
     };
-    let said = succeed(folder, "export run --out again");
+    let said = succeed(folder, "export run --out again --no-sampler");
     assert!(!said.contains("half textures"), "{said}");
     assert!(made("again") == made("bundle") && made("half") != made("bundle"));
     // What is rounded already loses nothing by being rounded again.
-    succeed(folder, "export half/model.safetensors --out twice --half-textures");
+    succeed(folder, "export half/model.safetensors --out twice --half-textures --no-sampler");
     let twice = read("twice/material.json");
     assert_eq!(twice["rounding"]["largest_difference"], json!(0.0));
     let graph = |name: &str| std::fs::read(folder.join(name).join("material.onnx")).unwrap();
@@ -538,8 +538,8 @@ fn a_bundle_is_put_to_the_test_however_it_is_stored() {
     }
     assert!(files.contains(&"texture-0.exr") && files.contains(&"weights-f16.bin"), "{files:?}");
 
-    succeed(folder, "export run --out halfs --half --check --opset 13");
-    succeed(folder, "export run --out bytes --int8 --check --opset 21 --json bytes.json");
+    succeed(folder, "export run --out halfs --half --check --opset 13 --no-sampler");
+    succeed(folder, "export run --out bytes --int8 --check --opset 21 --sampler-steps 20 --json bytes.json");
     let single = bytes("bundle/material.json");
     assert_eq!(bytes("halfs/material.json") * 2, single);
     assert!(bytes("bytes/material.json") < bytes("halfs/material.json"));
@@ -565,6 +565,43 @@ fn a_bundle_is_put_to_the_test_however_it_is_stored() {
 }
 
 #[test]
+fn a_sampler_is_fitted_measured_and_put_into_a_bundle() {
+    let workshop = workshop();
+    let folder = workshop.path();
+    let said = succeed(folder, "sampler run --out lobes.safetensors --steps 20 --json lobes.json");
+    assert!(said.contains("furnace") && said.contains("sky"), "{said}");
+    let read =
+        |name: &str| -> Value { serde_json::from_slice(&std::fs::read(folder.join(name)).unwrap()).unwrap() };
+    assert_eq!(read("lobes.json")["gains"].as_array().unwrap().len(), 2);
+    let described: Value = serde_json::from_str(&succeed(folder, "info lobes.safetensors")).unwrap();
+    assert_eq!(described["kind"], json!("sampler"));
+    succeed(folder, "export run --out sampled --sampler lobes.safetensors --check");
+    let bundled = std::fs::read(folder.join("sampled/sampler.safetensors")).unwrap();
+    assert_eq!(bundled, std::fs::read(folder.join("lobes.safetensors")).unwrap());
+    assert_eq!(read("sampled/material.json")["sampler"]["config"]["hidden"], json!([16, 16]));
+    let plain = read("bundle/material.json");
+    assert_eq!(plain.get("sampler"), None, "the shared bundle has none");
+    // Another material's: it reads another number of channels.
+    succeed(
+        folder,
+        "train data --out narrow --preset neumip --steps 2 --batch 256 --set train.validations=1 \
+                     --set model.texture.channels=3",
+    );
+    refused(
+        folder,
+        &[
+            ("sampler run --out lobes.safetensors", 1, &["lobes.safetensors", "--force"]),
+            ("sampler run --out new.safetensors --steps 0", 2, &["steps"]),
+            ("sampler missing --out new.safetensors", 1, &["missing"]),
+            ("export narrow --out new --sampler lobes.safetensors", 2, &["sampler.features", "7"]),
+            ("export run --out new --sampler absent.safetensors", 1, &["absent.safetensors"]),
+            ("export run --out new --sampler run/best.safetensors", 1, &["best.safetensors"]),
+            ("export run --out new --sampler lobes.safetensors --no-sampler", 2, &["--no-sampler"]),
+        ],
+    );
+}
+
+#[test]
 fn force_replaces_what_it_names_and_nothing_else() {
     let workshop = workshop();
     let folder = workshop.path();
@@ -575,7 +612,7 @@ fn force_replaces_what_it_names_and_nothing_else() {
     std::fs::write(folder.join("run/.neumip-killed"), "a killed run left it").unwrap();
     succeed(folder, &format!("generate tile --out data --force --resolution 8 {SMALL}"));
     succeed(folder, &format!("train data --out run --force {SHORT} --seed 5 --set train.piece=8"));
-    succeed(folder, "export run --out bundle --force");
+    succeed(folder, "export run --out bundle --force --no-sampler");
     succeed(folder, "export run --out bundles/of/mine");
     let names = |name: &str| -> Vec<String> {
         let all = contents(&folder.join(name)).into_keys();

@@ -5,7 +5,7 @@ use crate::checkpoint::RunFolder;
 use crate::dataset::{Dataset, MANIFEST};
 use crate::error::{Error, Result};
 use clap::Args;
-use neumip_export::{Checkpoint, read_bundle};
+use neumip_export::{Checkpoint, Sampler, read_bundle};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "Example: neumip info runs/metal/best.safetensors")]
 pub struct Info {
-    /// A checkpoint file, or the folder of a run, dataset or bundle.
+    /// A checkpoint or sampler file, or the folder of a run, dataset or bundle.
     path: PathBuf,
     /// Write it here as JSON too.
     #[arg(long)]
@@ -35,7 +35,11 @@ fn describe(path: &Path) -> Result<Value> {
         return Err(Error::file(path, "no such file or folder"));
     }
     if path.is_file() {
-        return Ok(checkpoint(&Checkpoint::read(path)?));
+        return match Sampler::read(path) {
+            Ok(sampler) => Ok(json!({ "kind": "sampler", "sampler": sampler.header })),
+            // A damaged file is more likely to be what most files are.
+            Err(_) => Ok(checkpoint(&Checkpoint::read(path)?)),
+        };
     }
     if path.join(MANIFEST).is_file() {
         let data = Dataset::open(path)?;

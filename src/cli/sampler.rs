@@ -2,7 +2,7 @@
 
 use super::console::Console;
 use crate::checkpoint;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::sampler::{CONDITIONS, Cost, Gain, MaterialSampler, Options, cost, fit, gains};
 use clap::Args;
 use serde::Serialize;
@@ -32,6 +32,9 @@ pub struct Sampler {
     /// Seed of weights, queries and directions.
     #[arg(long, default_value_t = Options::default().seed)]
     seed: u64,
+    /// Replace an existing file.
+    #[arg(long)]
+    force: bool,
     /// Write what was measured here.
     #[arg(long)]
     json: Option<PathBuf>,
@@ -53,6 +56,9 @@ impl Sampler {
     pub fn run(self, console: &Console) -> Result<()> {
         super::check_json(self.json.as_deref())?;
         super::check_json(Some(&self.out))?;
+        if self.out.exists() && !self.force {
+            return Err(Error::file(&self.out, "exists: name another file or add --force"));
+        }
         let checkpoint = checkpoint::load(&self.run)?;
         let options = Options { steps: self.steps, seed: self.seed, ..Options::default() };
         let mut meter = console.meter(format!("sampler of {}", self.run.display()), self.steps, "steps");
