@@ -6,7 +6,9 @@ use crate::materials;
 use neumip::dataset::SCENES;
 use neumip::engine::FusedMaterial;
 use neumip::query::Reflectance;
-use neumip::render::{Cosine, Frame, Model, OpenOptions, Picture, Scene, SceneFile, frame_file};
+use neumip::render::{
+    Cosine, Directions, Frame, Lobes, Model, OpenOptions, Picture, Scene, SceneFile, View, frame_file,
+};
 use neumip_export::Checkpoint;
 use serde_json::{Value, json};
 use std::ops::ControlFlow;
@@ -178,6 +180,40 @@ fn an_environment_gives_the_irradiance_of_its_picture() {
     assert!((other / irradiance - 1.0).abs() > FURNACE, "turning it changes nothing: {other}");
     // The blue of the picture is half of it, and so is the light.
     assert!((mean(&render(&scene), 2) / reflected - 0.5).abs() < 1e-3);
+
+    // Whatever directions a material asks for, the picture is the same as long as it knows their density.
+    let drawn = |claimed: f32| {
+        let mut scene = open(&json, folder.path());
+        scene.materials[0].directions = Box::new(Uniform { claimed });
+        mean(&render(&scene), 0)
+    };
+    assert!((drawn(1.0) / irradiance - 1.0).abs() < FURNACE, "{} {irradiance}", drawn(1.0));
+    assert!((drawn(2.0) / irradiance - 1.0).abs() > FURNACE);
+}
+
+/// Directions uniform in solid angle, with a density that may be wrong by a factor.
+struct Uniform {
+    claimed: f32,
+}
+
+impl Directions for Uniform {
+    fn lobes<'a>(&'a self, views: &[View]) -> neumip::Result<Box<dyn Lobes + 'a>> {
+        assert!(views.iter().all(|view| view.level == 0.0));
+        Ok(Box::new(Uniform { claimed: self.claimed }))
+    }
+}
+
+impl Lobes for Uniform {
+    fn sample(&self, k: usize, [x, y]: [f32; 2]) -> Option<([f32; 3], f32)> {
+        let (sin, cos) = (std::f32::consts::TAU * x).sin_cos();
+        let (z, radius) = (1.0 - y, (y * (2.0 - y)).sqrt());
+        let wi = [radius * cos, radius * sin, z];
+        Some((wi, self.pdf(k, wi)))
+    }
+
+    fn pdf(&self, _: usize, _: [f32; 3]) -> f32 {
+        self.claimed / std::f32::consts::TAU
+    }
 }
 
 /// Part of a hemisphere's cosine that a polygon above the horizon covers, seen from the origin with normal z (Lambert).
@@ -505,7 +541,11 @@ fn bad_scenes_are_refused_in_one_line() {
         ("render run --scene good.json --out out --samples 0", 1, &["camera.samples"]),
         ("render run --scene good.json --out out --width 99999", 1, &["camera.width"]),
         ("render run --scene good.json --out out --json gone/x.json", 1, &["gone"]),
-        ("render run --scene plane --out out --compare", 2, &["tile", "no built-in material"]),
+        (
+            "render run --scene plane --out out --compare",
+            2,
+            &["tile", "no built-in material", "--compare=material.json"],
+        ),
         ("render --scene own.json --out out --compare", 2, &["--compare", "no model"]),
     ];
     let mut cases: Vec<_> = lines.iter().map(|(line, code, named)| (line.as_str(), *code, *named)).collect();

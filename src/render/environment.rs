@@ -14,6 +14,8 @@ pub struct Environment {
     rows: Steps,
     /// Of each row.
     columns: Vec<Steps>,
+    /// z of each row's upper border, and of the last one's lower.
+    borders: Vec<f64>,
 }
 
 /// A density that is constant over equal steps of \[0, 1).
@@ -30,7 +32,8 @@ impl Environment {
     /// An environment of `width * height` texels, each finite and not negative.
     pub fn new(width: usize, height: usize, texels: Vec<[f32; 3]>) -> Self {
         let rows = Steps::new(&[1.0]);
-        let mut this = Self { width, height, texels, rows, columns: Vec::with_capacity(height) };
+        let borders = (0..=height).map(|row| (PI * row as f64 / height as f64).cos()).collect();
+        let mut this = Self { width, height, texels, rows, columns: Vec::with_capacity(height), borders };
         let mut bands = Vec::with_capacity(height);
         for row in 0..height {
             let weights: Vec<f64> = (0..width).map(|column| this.weight(row, column)).collect();
@@ -65,7 +68,7 @@ impl Environment {
         let (row, down) = self.rows.draw(y);
         let (column, across) = self.columns[row].draw(x);
         // Within a texel directions are uniform in solid angle.
-        let (top, bottom) = (self.height_of(row), self.height_of(row + 1));
+        let (top, bottom) = (self.borders[row], self.borders[row + 1]);
         let z = top + down * (bottom - top);
         let along = column as f64 + across;
         let (sin, cos) = ((TAU * along / self.width as f64) as f32).sin_cos();
@@ -115,13 +118,8 @@ impl Environment {
         sum / 16.0
     }
 
-    /// z of a row's upper border.
-    fn height_of(&self, row: usize) -> f64 {
-        (PI * row as f64 / self.height as f64).cos()
-    }
-
     fn band(&self, row: usize) -> f64 {
-        self.height_of(row) - self.height_of(row + 1)
+        self.borders[row] - self.borders[row + 1]
     }
 
     /// Of a texel in a row.

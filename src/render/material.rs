@@ -158,9 +158,12 @@ impl Material {
         self.resolution != [1, 1]
     }
 
-    /// True if its answers have noise.
-    pub fn is_measured(&self) -> bool {
-        matches!(self.answers, Answers::Measured(..))
+    /// Rays of a measured answer; None if its answers have no noise.
+    pub fn rays(&self) -> Option<usize> {
+        match self.answers {
+            Answers::Pointwise(_) => None,
+            Answers::Measured(_, spp) => Some(spp),
+        }
     }
 
     /// Answers queries. `batch` numbers the buffers of a picture: no two draw the same random numbers.

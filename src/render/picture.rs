@@ -12,6 +12,8 @@ use std::time::{Duration, Instant};
 
 /// Camera rays of a batch: their queries keep every core of a large machine busy and fit its cache's next level.
 const BATCH: usize = 1 << 17;
+/// Camera rays of a batch whose answers are measured by many rays, at least: an interrupt waits for its end.
+const LEAST_BATCH: usize = 1 << 13;
 /// Camera rays that a core traces at a time.
 const CHUNK: usize = 1 << 11;
 
@@ -56,7 +58,8 @@ impl Scene {
     /// Pixels of a frame, row by row, in the batches in which they are rendered.
     pub fn batches(&self, frame: &Frame) -> Vec<Range<usize>> {
         let pixels = frame.camera.width() * frame.camera.height();
-        let step = (BATCH / frame.samples).max(1);
+        let slowest = self.materials.iter().filter_map(Material::rays).max().unwrap_or(1);
+        let step = ((BATCH / slowest).max(LEAST_BATCH) / frame.samples).max(1);
         (0..pixels).step_by(step).map(|start| start..(start + step).min(pixels)).collect()
     }
 
@@ -120,7 +123,7 @@ impl Scene {
             }
         }
         cost.total = begun.elapsed();
-        let measured = self.materials.iter().any(|material| material.is_measured());
+        let measured = self.materials.iter().any(|material| material.rays().is_some());
         Ok(Picture { rgb: RgbImage { height, width, pixels }, variance: measured.then_some(variance), cost })
     }
 }

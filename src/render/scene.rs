@@ -15,6 +15,9 @@ use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+/// Largest radiance of an image: the sun has 2e7 W / (m^2 sr).
+const BRIGHTEST: f32 = 1e9;
+
 /// How a scene is opened.
 pub struct OpenOptions<'a> {
     /// The material of objects that name none; in place of the scene's own `default`.
@@ -187,8 +190,8 @@ fn environment(file: &SceneFile, base: &Path) -> Result<Option<Environment>> {
     let map = map_file::read(&path)?;
     let texels: Vec<[f32; 3]> =
         map.texels.into_iter().map(|t| if map.is_png { t.map(srgb::decode) } else { t }).collect();
-    match texels.as_flattened().iter().find(|v| **v < 0.0) {
-        Some(v) => Err(Error::file(path, format!("holds {v}; radiance is not negative"))),
+    match texels.as_flattened().iter().find(|v| !(0.0..=BRIGHTEST).contains(*v)) {
+        Some(v) => Err(Error::file(path, format!("holds {v}; radiance is from 0 to {BRIGHTEST}"))),
         None => Ok(Some(Environment::new(map.width, map.height, texels))),
     }
 }

@@ -128,9 +128,7 @@ impl Render {
 
     fn default_material(&self) -> Result<Option<MaterialSpec>> {
         let Some(path) = &self.material else { return Ok(None) };
-        // Paths of a scene are relative to it, those of the command line are not.
-        let whole = std::path::absolute(path).map_err(|e| Error::file(path, e))?;
-        Ok(Some(MaterialSpec::model(&whole)))
+        Ok(Some(MaterialSpec::model(&absolute(path)?)))
     }
 
     fn open(&self, file: SceneFile, path: &Path, default_material: Option<MaterialSpec>) -> Result<Scene> {
@@ -149,8 +147,16 @@ impl Render {
         let models = scene.materials.iter().filter_map(|m| m.trained_on.as_ref().map(|name| (m, name)));
         for (material, trained_on) in models {
             let surface = match self.compare.as_deref() {
-                Some(surface) if surface != TRAINED_ON => surface.to_string(),
-                _ => trained_on.clone(),
+                Some(surface) if surface != TRAINED_ON && is_built_in(surface) => surface.to_string(),
+                // Paths of a scene are relative to it, those of the command line are not.
+                Some(surface) if surface != TRAINED_ON => absolute(Path::new(surface))?.display().to_string(),
+                _ if is_built_in(trained_on) => trained_on.clone(),
+                _ => {
+                    return Err(Error::usage(format!(
+                        "--compare: {trained_on}, which the model was trained on, is no built-in material; name its \
+                         surface, --compare=material.json"
+                    )));
+                }
             };
             let spec = MaterialSpec {
                 reference: Some(surface),
@@ -178,6 +184,8 @@ impl Render {
         let each = (first.camera.width() * first.camera.height() * first.samples) as u64;
         let mut meter = console.meter(of, missing * each, "rays");
         let (begun, mut rays, mut queries) = (Instant::now(), 0, 0);
+        // Rates count from here, not from the first batch.
+        meter.show(0, "");
         let mut frames = Vec::with_capacity(count);
         for (index, label) in kept.into_iter().enumerate() {
             let png = folder.path(index, kind, "png");
@@ -244,4 +252,12 @@ impl Render {
         let fps = scene.file.path.as_ref().map_or(1, |path| path.fps);
         Ok(write_whole(&folder.animation(), &frame_file::animation(scene.frames(), fps, shown)?)?)
     }
+}
+
+fn is_built_in(surface: &str) -> bool {
+    crate::reference::builtin::NAMES.contains(&surface)
+}
+
+fn absolute(path: &Path) -> Result<PathBuf> {
+    std::path::absolute(path).map_err(|e| Error::file(path, e))
 }
