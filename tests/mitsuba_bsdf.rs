@@ -3,7 +3,7 @@
 //! variant where there is no LLVM 17 or newer.
 
 use crate::mitsuba;
-use neumip::export::{Checkpoint, write_bundle};
+use neumip::export::{Checkpoint, Contents};
 use neumip::golden;
 use serde_json::Value;
 use std::path::Path;
@@ -52,7 +52,7 @@ fn bundles(folder: &Path) -> [std::path::PathBuf; 2] {
     changed.tensors.get_mut("decoder.mlp.1.weight").unwrap().data[0] += CHANGED_WEIGHT;
     [("bundle", checkpoint), ("twin", changed)].map(|(name, checkpoint)| {
         let path = folder.join(name);
-        write_bundle(&checkpoint, &answers, &path, false).unwrap();
+        Contents::new(&checkpoint, &answers).write(&path, false).unwrap();
         path
     })
 }

@@ -4,7 +4,7 @@
 use crate::command_line::{refused, succeed};
 use neumip::config::Config;
 use neumip::dataset::{Scene, write_query_frame};
-use neumip::export::{Architecture, Bundle, Checkpoint, Precision, read_bundle, write_bundle};
+use neumip::export::{Architecture, Bundle, Checkpoint, Contents, Precision, read_bundle};
 use neumip::golden;
 use neumip::inference::answerer;
 use neumip::query::{QueryBuffer, RgbImage};
@@ -42,7 +42,7 @@ fn bundle(folder: &Path) -> Bundle {
     let checkpoint = trained();
     let golden = golden::answers(&checkpoint, 256).unwrap();
     let out = folder.join("bundle");
-    write_bundle(&checkpoint, &golden, &out, false).unwrap();
+    Contents::new(&checkpoint, &golden).write(&out, false).unwrap();
     read_bundle(&out).unwrap()
 }
 
