@@ -613,7 +613,7 @@ fn force_replaces_what_it_names_and_nothing_else() {
     succeed(folder, &format!("generate tile --out data --force --resolution 8 {SMALL}"));
     succeed(folder, &format!("train data --out run --force {SHORT} --seed 5 --set train.piece=8"));
     succeed(folder, "export run --out bundle --force --no-sampler");
-    succeed(folder, "export run --out bundles/of/mine");
+    succeed(folder, "export run --out bundles/of/mine --no-sampler");
     let names = |name: &str| -> Vec<String> {
         let all = contents(&folder.join(name)).into_keys();
         all.map(|path| path.file_name().unwrap().to_str().unwrap().to_string()).collect()
@@ -638,7 +638,7 @@ fn force_replaces_what_it_names_and_nothing_else() {
 #[test]
 fn a_reader_that_leaves_is_no_failure() {
     let shared = SHARED.path();
-    for line in ["info data", "export run --out ../unread", "--help"] {
+    for line in ["info data", "export run --out ../unread --no-sampler", "--help"] {
         let workshop = empty_workshop();
         copy(shared, &workshop.path().join("inner"));
         let mut command = command(&workshop.path().join("inner"), line);

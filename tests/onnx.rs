@@ -42,10 +42,10 @@ const MOST_LEFT: f64 = 0.65;
 /// SHA-256 of what the default export makes of the trained checkpoint, without the program's version: an option of the
 /// export changes nothing unless it is chosen. Whoever changes the default on purpose puts the new values here.
 const DEFAULT_FILES: [(&str, &str); 4] = [
-    ("decoder.onnx", "7d015f22dce119450189fe70e4829d43b2fe23de1f88a3dc6e089e4711fd532a"),
-    ("material.onnx", "9217a1d00207d43f084d6489741f0dfd77cef9ed50e951f839898835f774e85b"),
-    ("prepare.onnx", ""),
-    ("evaluate.onnx", ""),
+    ("decoder.onnx", "c114f90a48583deb816a7560ce25431a18d7f598886997633dc3b0a7185389f3"),
+    ("material.onnx", "9f4c20379f9f6651b1ef2ba2b53757b4d7599ad8e42c11849d5039cd50207d90"),
+    ("prepare.onnx", "06932d25005b03675e508dca9ba1a1e86274d0d8d5790aefd15a77de6ab36fba"),
+    ("evaluate.onnx", "01f4f0120331b6496761f3aa25a7061854d586a3e6d0f345a33ef8e1ebdb081d"),
 ];
 
 /// A checkpoint that was trained.
