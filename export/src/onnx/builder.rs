@@ -124,27 +124,33 @@ impl Builder {
         Value(name)
     }
 
-    /// Parts of extents `first` and `second` along an axis.
-    pub fn split(
-        &mut self,
-        name: &str,
-        value: &Value,
-        axis: i64,
-        first: usize,
-        second: usize,
-    ) -> (Value, Value) {
-        let sizes = self.axes(&[first as i64, second as i64]);
+    /// Parts of these extents along an axis.
+    pub fn split(&mut self, name: &str, value: &Value, axis: i64, extents: &[i64]) -> Vec<Value> {
+        let sizes = self.axes(extents);
         let name = self.unique(name);
-        let outputs = [format!("{name}.0"), format!("{name}.1")];
+        let outputs: Vec<String> = (0..extents.len()).map(|k| format!("{name}.{k}")).collect();
         let axis = proto::Attribute {
             name: "axis".into(),
             i: Some(axis),
             ints: Vec::new(),
             r#type: proto::ATTRIBUTE_INT,
         };
-        self.push("Split", name, &[value, &sizes], outputs.to_vec(), vec![axis]);
-        let [a, b] = outputs;
-        (Value(a), Value(b))
+        self.push("Split", name, &[value, &sizes], outputs.clone(), vec![axis]);
+        outputs.into_iter().map(Value).collect()
+    }
+
+    /// Two parts of these extents along an axis.
+    pub fn split_in_two(
+        &mut self,
+        name: &str,
+        value: &Value,
+        axis: i64,
+        extents: [i64; 2],
+    ) -> (Value, Value) {
+        match self.split(name, value, axis, &extents).as_slice() {
+            [first, second] => (first.clone(), second.clone()),
+            _ => unreachable!("two extents give two parts"),
+        }
     }
 
     fn push(
@@ -231,24 +237,9 @@ impl Builder {
         }
     }
 
-    /// The columns `[N, 1]` of a matrix.
+    /// The columns \[N, 1\] of a matrix.
     pub fn columns(&mut self, name: &str, value: &Value, count: usize) -> Vec<Value> {
-        self.split_evenly(name, value, 1, count)
-    }
-
-    /// Parts of extent 1 along an axis.
-    pub fn split_evenly(&mut self, name: &str, value: &Value, axis: i64, count: usize) -> Vec<Value> {
-        let sizes = self.axes(&vec![1; count]);
-        let name = self.unique(name);
-        let outputs: Vec<String> = (0..count).map(|k| format!("{name}.{k}")).collect();
-        let axis = proto::Attribute {
-            name: "axis".into(),
-            i: Some(axis),
-            ints: Vec::new(),
-            r#type: proto::ATTRIBUTE_INT,
-        };
-        self.push("Split", name, &[value, &sizes], outputs.clone(), vec![axis]);
-        outputs.into_iter().map(Value).collect()
+        self.split(name, value, 1, &vec![1; count])
     }
 
     /// Removes axes of extent 1.

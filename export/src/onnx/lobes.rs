@@ -48,10 +48,10 @@ pub fn sample_graph(sampler: &Sampler, opset: Opset) -> Result<Vec<u8>> {
     let mut b = Builder::new("sample", "neural material: a light direction by importance");
     let (lobes, xi) = (b.input(&inputs[0]), b.input(&inputs[1]));
     b.scope("choice");
-    let [first, second] = <[Value; 2]>::try_from(b.columns("xi", &xi, 2)).unwrap_or_else(|_| unreachable!());
+    let (first, second) = b.split_in_two("xi", &xi, 1, [1, 1]);
     let first = b.clip("xi.first", &first, 0.0, BELOW_ONE);
     let second = b.clip("xi.second", &second, 0.0, BELOW_ONE);
-    let weights = b.split("lobes.parts", &lobes, 2, 1, LOBE_COLUMNS - 1).0;
+    let weights = b.split_in_two("lobes.parts", &lobes, 2, [1, LOBE_COLUMNS as i64 - 1]).0;
     let weights = b.squeeze("weights", &weights, &[2]);
     let upto: Vec<f32> = (0..count * count).map(|i| f32::from(i / count <= i % count)).collect();
     let upto = b.floats("upto", &[count, count], &upto);
@@ -201,7 +201,7 @@ impl Mirror {
         let z = b.at_least("wo.z.least", &z, min_z);
         let slope = b.node("Div", "wo.slope", &[&wo.xy, &z], &[]);
         let slope = b.node("Neg", "mirror.slope", &[&slope], &[]);
-        let [x, y] = <[Value; 2]>::try_from(b.columns("m", &slope, 2)).unwrap_or_else(|_| unreachable!());
+        let (x, y) = b.split_in_two("m", &slope, 1, [1, 1]);
         let (xx, t01, yy) = (b.mul("m.xx", &x, &x), b.mul("t.01", &x, &y), b.mul("m.yy", &y, &y));
         let one = b.scalar(1.0);
         Self { m: [x, y], t00: b.add("t.00", &xx, &one), t01, t11: b.add("t.11", &yy, &one) }
@@ -226,7 +226,7 @@ impl Mirror {
 /// The density \[N\] of wi \[N, 3\]: the sum over lobes of weight z / (pi |det A| (z^2 + |v|^2)^2), v = A^-1 (wi.xy - b z).
 fn density(b: &mut Builder, lobes: &Value, wi: &Value) -> Value {
     b.scope("density");
-    let parts = b.split_evenly("lobes", lobes, 2, LOBE_COLUMNS);
+    let parts = b.split("lobes", lobes, 2, &[1; LOBE_COLUMNS]);
     let parts: Vec<Value> = parts.iter().map(|part| b.squeeze("column", part, &[2])).collect();
     let [weight, bx, by, a00, a01, a10, a11] = parts.as_slice() else { unreachable!("seven columns") };
     let wi = b.columns("wi", wi, 3);

@@ -164,7 +164,7 @@ pub fn rgb(b: &mut Builder, checkpoint: &Checkpoint, outputs: Value, lit: &Value
     b.scope("output");
     let config = &checkpoint.header.architecture.model.output;
     let (mut colour, mask) = if config.mask {
-        let (colour, mask) = b.split("parts", &outputs, 1, 3, 3);
+        let (colour, mask) = b.split_in_two("parts", &outputs, 1, [3, 3]);
         (colour, Some(mask))
     } else {
         (outputs, None)

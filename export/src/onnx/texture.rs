@@ -90,7 +90,7 @@ pub fn lookup(b: &mut Builder, u: &Value, level: &Value, table: &Table, sizes: &
         },
         _ => two_levels(b, level, sizes),
     };
-    let (column, row) = b.split("u", u, 1, 1, 1);
+    let (column, row) = b.split_in_two("u", u, 1, [1, 1]);
     let x = axis(b, "x", &column, &levels.width);
     let y = axis(b, "y", &row, &levels.height);
 
