@@ -4,7 +4,7 @@
 
 Every scene is rendered once by each program, one query in the middle of every pixel. The picture has a row for each bundle
 and scene: the three pictures and ten times their differences from the first. Prints a table of the differences, and writes
-it as JSON beside the picture. Needs numpy and mitsuba (the environment that the tests make has both) and a Chromium.
+it as JSON beside the picture. Needs numpy and mitsuba (the environment that the tests make has both); without a Chromium the browser is left out.
 """
 
 import argparse
@@ -25,6 +25,8 @@ SCENES = {
 }
 # What differences are multiplied by to be seen.
 SHOWN = 10.0
+# Exit status of the page's driver where there is no browser.
+NO_BROWSER = 3
 # Light of irradiance pi, in which a white matte surface is white.
 EXPOSURE = np.pi
 
@@ -59,27 +61,35 @@ def by_mitsuba(bundle, scene, size, folder, variant):
 
 
 def by_browser(program, bundle, scene, size, folder):
-    """The viewer's page, read back as floats."""
+    """The viewer's page, read back as floats; nothing where there is no browser."""
     page = folder / "viewer.html"
     run([program, "view", bundle, "--out", page, "--quiet"])
     (folder / "view.json").write_text(json.dumps(scene | {"irradiance": 1, "width": size, "height": size}))
     script = ROOT / "tests/view_page.py"
-    run([sys.executable, script, page, "--render", folder / "view.json", "--out", folder / "view.npy"])
+    command = [sys.executable, script, page, "--render", folder / "view.json", "--out", folder / "view.npy"]
+    if run(command, (0, NO_BROWSER)) == NO_BROWSER:
+        return None
     return np.load(folder / "view.npy").astype(np.float64)
 
 
-def run(command):
+def run(command, right=(0,)):
     finished = subprocess.run([str(part) for part in command], capture_output=True, text=True)
-    if finished.returncode != 0:
+    if finished.returncode not in right:
         sys.exit(f"{' '.join(map(str, command))} failed:\n{finished.stdout}{finished.stderr}")
+    return finished.returncode
 
 
 def differences(picture, first):
-    """Mean squared error of both clamped to [0, 1], and how far linear values are apart."""
+    """Mean squared error of both clamped to [0, 1], and how far linear values are apart; `mirrored` is what it would be if the
+    first were mirrored, which no match can survive."""
     apart = np.abs(picture - first) / (1.0 + np.abs(first))
-    clamped = np.clip(picture, 0, 1) - np.clip(first, 0, 1)
+
+    def mse(other):
+        return float(np.mean((np.clip(picture, 0, 1) - np.clip(other, 0, 1)) ** 2))
+
     return {
-        "mse": float(np.mean(clamped**2)),
+        "mse": mse(first),
+        "mirrored": mse(first[:, ::-1]),
         "mean": float(np.mean(apart)),
         "99.9 percent within": float(np.quantile(apart.max(axis=2), 0.999)),
         "largest": float(np.max(apart)),
@@ -112,6 +122,7 @@ def main():
                     "Mitsuba 3": by_mitsuba(*common, arguments.variant),
                     "browser": by_browser(arguments.neumip, *common),
                 }
+            pictures = {program: picture for program, picture in pictures.items() if picture is not None}
             first = pictures["neumip render"]
             others = list(pictures.values())[1:]
             apart = [SHOWN * np.abs(picture - first) for picture in others]
