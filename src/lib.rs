@@ -26,6 +26,8 @@
 //!   │
 //! reproduce, results, chart ─ the paper's questions, what came of them, speed against accuracy
 //!   │
+//! render ─ pictures of scenes: objects, lights and cameras around materials     artefacts ─ a bundle put to the test
+//!   │
 //! report, view, cli, neumip-export ─ pages, a bundle's viewer, commands, ONNX and textures for other renderers
 //! ```
 
