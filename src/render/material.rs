@@ -7,7 +7,7 @@ use crate::error::{Error, Result};
 use crate::query::{QueryBuffer, Reflectance, RgbImage, Support, above_horizon, unit};
 use crate::reference::{Reference, ReferenceOptions, Sampling, builtin};
 use neumip_export::checkpoint::Checkpoint;
-use neumip_export::read_bundle;
+use neumip_export::{Measure, read_bundle};
 use sha2::{Digest, Sha256};
 use std::f32::consts::FRAC_1_PI;
 use std::path::Path;
@@ -81,6 +81,10 @@ impl Material {
 
     fn model(name: &str, path: &Path, engine: &Engine) -> Result<Self> {
         let checkpoint = load(path)?;
+        if checkpoint.header.measure != Measure::RadianceCosine {
+            let problem = "its answers are the bare reflectance; pictures are made of f cos";
+            return Err(Error::config(format!("materials.{name}"), problem));
+        }
         let architecture = &checkpoint.header.architecture;
         let Model { answers, directions, identity } = engine(&checkpoint, path)?;
         if answers.support() != Support::Pointwise {
