@@ -65,7 +65,7 @@ def by_browser(program, bundle, scene, size, folder):
     page = folder / "viewer.html"
     run([program, "view", bundle, "--out", page, "--quiet"])
     (folder / "view.json").write_text(json.dumps(scene | {"irradiance": 1, "width": size, "height": size}))
-    script = ROOT / "tests/view_page.py"
+    script = ROOT / "scripts/view_page.py"
     command = [sys.executable, script, page, "--render", folder / "view.json", "--out", folder / "view.npy"]
     if run(command, (0, NO_BROWSER)) == NO_BROWSER:
         return None

@@ -12,7 +12,7 @@ use neumip_export::bundle::{Bundle, DECODER, EVALUATE, MATERIAL, MODEL, PDF, PRE
 use neumip_export::config::texture_name;
 use neumip_export::onnx::LOBE_COLUMNS;
 use neumip_export::textures::TextureFile;
-use neumip_export::{Checkpoint, Golden, Precision, SamplerGolden, weights};
+use neumip_export::{Checkpoint, Golden, Precision, Sampler, SamplerGolden, weights};
 use serde::Serialize;
 use std::path::Path;
 
@@ -61,10 +61,12 @@ pub fn check(folder: &Path, bundle: &Bundle) -> Result<Vec<Artefact>> {
     answered(MATERIAL, "rten", &material.answers(&queries, images)?);
     if images.is_none() {
         answered(DECODER, "rten, features of the fused engine", &by_decoder(folder, checkpoint, &queries)?);
-        answered(&format!("{PREPARE}, {EVALUATE}"), "rten", &in_steps(folder, &queries, checkpoint)?);
-    }
-    if let Some((_, golden)) = &bundle.sampler {
-        artefacts.extend(sampled(folder, golden, bundle)?);
+        let prepare = OnnxGraph::open(&folder.join(PREPARE))?;
+        let rgb = in_steps(folder, &prepare, &queries, checkpoint)?;
+        answered(&format!("{PREPARE}, {EVALUATE}"), "rten", &rgb);
+        if let Some((sampler, golden)) = &bundle.sampler {
+            artefacts.extend(sampled(folder, &prepare, sampler, golden)?);
+        }
     }
     for texture in &bundle.sidecar.textures {
         let difference = stored_texture(folder, texture, checkpoint)?;
@@ -106,13 +108,17 @@ fn by_decoder(folder: &Path, checkpoint: &Checkpoint, queries: &QueryBuffer) -> 
     Ok(rgb.concat().as_chunks::<3>().0.to_vec())
 }
 
-fn in_steps(folder: &Path, queries: &QueryBuffer, checkpoint: &Checkpoint) -> Result<Vec<[f32; 3]>> {
+fn in_steps(
+    folder: &Path,
+    prepare: &OnnxGraph,
+    queries: &QueryBuffer,
+    checkpoint: &Checkpoint,
+) -> Result<Vec<[f32; 3]>> {
     let n = queries.len();
     let widths = checkpoint.header.architecture.decoder_widths().unwrap_or_default();
     let partial = vec![n, widths.get(1).copied().unwrap_or(0)];
-    let graph = OnnxGraph::open(&folder.join(PREPARE))?;
     let inputs: Vec<Feed> = feeds(queries, None).into_iter().filter(|(name, ..)| *name != "wi").collect();
-    let prepared = graph.run(&inputs, &[("partial", partial.clone()), ("visible", vec![n])])?;
+    let prepared = prepare.run(&inputs, &[("partial", partial.clone()), ("visible", vec![n])])?;
     let graph = OnnxGraph::open(&folder.join(EVALUATE))?;
     let inputs: [Feed; 3] = [
         ("partial", partial, &prepared[0]),
@@ -124,16 +130,20 @@ fn in_steps(folder: &Path, queries: &QueryBuffer, checkpoint: &Checkpoint) -> Re
 }
 
 /// Directions and densities of a sampler, as graphs give them.
-fn sampled(folder: &Path, golden: &SamplerGolden, bundle: &Bundle) -> Result<[Artefact; 2]> {
+fn sampled(
+    folder: &Path,
+    prepare: &OnnxGraph,
+    sampler: &Sampler,
+    golden: &SamplerGolden,
+) -> Result<[Artefact; 2]> {
     let n = golden.u.len();
-    let config = bundle.sampler.as_ref().map(|(sampler, _)| &sampler.header.config);
-    let shape = vec![n, config.map_or(0, |c| c.lobes.len()) + 1, LOBE_COLUMNS];
+    let shape = vec![n, sampler.header.config.lobes.len() + 1, LOBE_COLUMNS];
     let inputs: [Feed; 3] = [
         ("u", vec![n, 2], golden.u.as_flattened()),
         ("wo", vec![n, 2], golden.wo.as_flattened()),
         ("level", vec![n], &golden.level),
     ];
-    let lobes = OnnxGraph::open(&folder.join(PREPARE))?.run(&inputs, &[("lobes", shape.clone())])?.concat();
+    let lobes = prepare.run(&inputs, &[("lobes", shape.clone())])?.concat();
     let feed: Feed = ("lobes", shape, &lobes);
     let xi: Feed = ("xi", vec![n, 2], golden.xi.as_flattened());
     let outputs = [("wi", vec![n, 3]), ("pdf", vec![n])];

@@ -50,7 +50,7 @@ fn bundle(folder: &Path) -> Bundle {
 fn open(page: &Path, arguments: &[&str]) -> Option<String> {
     let interpreter = std::env::var_os("NEUMIP_PYTHON").unwrap_or_else(|| "python3".into());
     let mut command = Command::new(interpreter);
-    command.args(["-B", "-s"]).arg(root().join("tests/view_page.py")).arg(page).args(arguments);
+    command.args(["-B", "-s"]).arg(root().join("scripts/view_page.py")).arg(page).args(arguments);
     match command.output() {
         Ok(output) if output.status.success() => Some(String::from_utf8(output.stdout).unwrap()),
         Ok(output) if output.status.code() == Some(3) => {

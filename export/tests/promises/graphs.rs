@@ -12,8 +12,11 @@ pub const TOLERANCE: f64 = 2e-5;
 /// Queries a case: every kind of position, level and direction dozens of times.
 const QUERIES: usize = 1024;
 
-/// Feeds a graph by input names and returns rgb.
-pub fn run(graph: Vec<u8>, feeds: &[(&str, Vec<usize>, Vec<f32>)]) -> Vec<f32> {
+/// An input's name, extents and values.
+pub type Feed<'a> = (&'a str, Vec<usize>, Vec<f32>);
+
+/// Feeds a graph by input names and returns the outputs that are asked for.
+pub fn values(graph: Vec<u8>, feeds: &[Feed], outputs: &[&str]) -> Vec<Value> {
     let model = Model::load(graph).unwrap();
     let inputs = feeds
         .iter()
@@ -22,8 +25,13 @@ pub fn run(graph: Vec<u8>, feeds: &[(&str, Vec<usize>, Vec<f32>)]) -> Vec<f32> {
             (model.node_id(name).unwrap(), ValueOrView::Value(value))
         })
         .collect();
-    let output = model.node_id("rgb").unwrap();
-    let [rgb] = model.run_n(inputs, [output], None).unwrap();
+    let nodes: Vec<_> = outputs.iter().map(|name| model.node_id(name).unwrap()).collect();
+    model.run(inputs, &nodes, None).unwrap()
+}
+
+/// Feeds a graph by input names and returns rgb.
+pub fn run(graph: Vec<u8>, feeds: &[Feed]) -> Vec<f32> {
+    let rgb = values(graph, feeds, &["rgb"]).remove(0);
     if feeds[0].1.len() == 4 {
         let (shape, data) = rgb.into_shape_vec::<f32, 4>().unwrap();
         assert_eq!(shape[..], [&feeds[0].1[..3], &[3]].concat());

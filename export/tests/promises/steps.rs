@@ -1,6 +1,6 @@
 //! The material in the steps of a renderer: prepare, evaluate, sample, pdf.
 
-use crate::graphs::{TOLERANCE, expected, largest_difference};
+use crate::graphs::{Feed, TOLERANCE, expected, largest_difference, values};
 use crate::lobes::{Lobe, density, lobes, sample, sampler};
 use crate::materials::{self, Numbers};
 use crate::plain;
@@ -8,7 +8,7 @@ use neumip_export::onnx::{self, Opset, Options};
 use neumip_export::sampler::Frame;
 use neumip_export::weights::{self, Layout, PAD};
 use neumip_export::{Checkpoint, Golden, Sampler, Storage};
-use rten::{Model, Value, ValueOrView};
+use rten::{Model, Value};
 
 /// Queries a case.
 const QUERIES: usize = 512;
@@ -23,20 +23,9 @@ const DIRECTION: f64 = 2e-4;
 /// Lobes of the samplers here.
 const FRAMES: [Frame; 3] = [Frame::Surface, Frame::Mirror, Frame::Mirror];
 
-type Feed<'a> = (&'a str, Vec<usize>, Vec<f32>);
-
 /// Runs a graph and gives the outputs that are asked for.
 fn run(graph: Vec<u8>, feeds: &[Feed], outputs: &[&str]) -> Vec<Vec<f32>> {
-    let model = Model::load(graph).unwrap();
-    let inputs = feeds
-        .iter()
-        .map(|(name, shape, data)| {
-            let value = Value::from_shape(shape, data.clone()).unwrap();
-            (model.node_id(name).unwrap(), ValueOrView::Value(value))
-        })
-        .collect();
-    let nodes: Vec<_> = outputs.iter().map(|name| model.node_id(name).unwrap()).collect();
-    let values = model.run(inputs, &nodes, None).unwrap();
+    let values = values(graph, feeds, outputs);
     values.into_iter().zip(outputs).map(|(value, name)| flat(value, name)).collect()
 }
 
