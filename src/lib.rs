@@ -28,6 +28,8 @@
 //!   │
 //! render ─ pictures of scenes: objects, lights and cameras around materials     artefacts ─ a bundle put to the test
 //!   │
+//! stability ─ known failures as probes: the naive form, the cure, the bound that guards it
+//!   │
 //! report, view, cli, neumip-export ─ pages, a bundle's viewer, commands, ONNX and textures for other renderers
 //! ```
 
@@ -59,6 +61,7 @@ pub mod reproduce;
 pub mod results;
 pub mod sampler;
 pub mod srgb;
+pub mod stability;
 pub mod trainer;
 pub mod view;
 

@@ -12,6 +12,7 @@ mod look;
 mod render;
 mod reproduce;
 mod sampler;
+mod stability;
 mod surface;
 mod train;
 mod view;
@@ -57,6 +58,8 @@ enum Command {
     Render(render::Render),
     /// Ask the paper's questions again: tables, ablation, Inception decoder, speed against accuracy.
     Reproduce(reproduce::Reproduce),
+    /// Show known failures, their cures, and that the cures hold.
+    Stability(stability::Stability),
     /// Chart error against time and bytes over all results found.
     Chart(chart::Chart),
     /// How fast this machine trains and answers.
@@ -84,6 +87,7 @@ impl Cli {
             Command::Sampler(command) => command.run(&console),
             Command::Render(command) => command.run(&console),
             Command::Reproduce(command) => command.run(&console),
+            Command::Stability(command) => command.run(&console),
             Command::Chart(command) => command.run(&console),
             Command::Bench(command) => command.run(&console),
             Command::Info(command) => command.run(&console),

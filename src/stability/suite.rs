@@ -1,0 +1,149 @@
+//! Running probes: each that is not finished yet, then the report over all that are.
+
+use super::folder::Folder;
+use super::page;
+use super::probe::{Figure, Group, Outcome, Probe, Verdict};
+use super::workshop::{Scale, Workshop};
+use crate::error::Result;
+use neumip_export::whole_file::{write_json, write_whole};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+/// File of the figures.
+const JSON: &str = "stability.json";
+/// File of the page.
+const MARKDOWN: &str = "STABILITY.md";
+
+/// What a finished probe keeps.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Finished {
+    /// The naive variant's figure.
+    pub naive: Figure,
+    /// The cured variant's figure.
+    pub cured: Figure,
+    /// Why the naive variant holds the bound.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub safe: Option<String>,
+    /// What else was seen.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
+    /// Other figures by name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub values: BTreeMap<String, Figure>,
+    /// What the picture shows, where there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub picture: Option<String>,
+    /// True where there is a curve.
+    pub curve: bool,
+    /// Seconds that it took.
+    pub seconds: f64,
+}
+
+impl Finished {
+    /// What of an outcome is kept as text.
+    pub fn new(outcome: &Outcome, seconds: f64) -> Self {
+        Self {
+            naive: outcome.naive.into(),
+            cured: outcome.cured.into(),
+            safe: outcome.safe.clone(),
+            notes: outcome.notes.clone(),
+            values: outcome.values.iter().map(|(name, value)| (name.clone(), (*value).into())).collect(),
+            picture: outcome.picture.as_ref().map(|(caption, _)| caption.clone()),
+            curve: outcome.plot.is_some(),
+            seconds,
+        }
+    }
+}
+
+/// A line of the report.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Row {
+    /// The probe's name.
+    pub probe: &'static str,
+    /// Where it belongs.
+    pub group: Group,
+    /// What it provokes.
+    pub provokes: &'static str,
+    /// The two variants and the figure, in words.
+    pub variants: [&'static str; 2],
+    /// What is measured.
+    pub figure: &'static str,
+    /// The largest figure that is right.
+    pub bound: f64,
+    /// Why this one.
+    pub reason: &'static str,
+    /// What they mean together.
+    pub verdict: Verdict,
+    /// What was found.
+    #[serde(flatten)]
+    pub found: Finished,
+}
+
+/// The whole report.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// How much was done.
+    pub scale: Scale,
+    /// A row a finished probe.
+    pub probes: Vec<Row>,
+}
+
+impl Report {
+    /// Names of the probes that are not right.
+    pub fn wrong(&self) -> Vec<&'static str> {
+        self.probes.iter().filter(|row| !row.verdict.is_right()).map(|row| row.probe).collect()
+    }
+}
+
+/// Runs the probes that are not finished, and writes the report over all probes that are, these and `others`.
+///
+/// # Errors
+/// `Interrupted`, or what a probe cannot do without; broken bounds are in the report.
+pub fn run(workshop: &mut Workshop, asked: &[Probe], all: &[Probe]) -> Result<Report> {
+    let folder = workshop.folder().clone();
+    for (k, probe) in asked.iter().enumerate() {
+        if folder.finished(probe)?.is_some() {
+            continue;
+        }
+        workshop.check()?;
+        let clock = Instant::now();
+        let outcome = (probe.run)(workshop)?;
+        let finished = Finished::new(&outcome, clock.elapsed().as_secs_f64());
+        folder.save(probe, &outcome, &finished)?;
+        let row = row(probe, finished);
+        workshop.say(&format!("[{}/{}] {}", k + 1, asked.len(), page::line(&row)));
+        write(&folder, workshop.scale(), all)?;
+    }
+    let mut report = write(&folder, workshop.scale(), all)?;
+    report.probes.retain(|row| asked.iter().any(|probe| probe.name == row.probe));
+    Ok(report)
+}
+
+fn row(probe: &Probe, found: Finished) -> Row {
+    let verdict = Verdict::of(found.naive, found.cured, probe.bound.most, found.safe.is_some());
+    Row {
+        probe: probe.name,
+        group: probe.group,
+        provokes: probe.provokes,
+        variants: [probe.naive, probe.cured],
+        figure: probe.figure,
+        bound: probe.bound.most,
+        reason: probe.bound.reason,
+        verdict,
+        found,
+    }
+}
+
+/// Writes the report over everything that is finished.
+fn write(folder: &Folder, scale: &Scale, all: &[Probe]) -> Result<Report> {
+    let mut probes = Vec::new();
+    for probe in all {
+        probes.extend(folder.finished(probe)?.map(|found| row(probe, found)));
+    }
+    let report = Report { scale: scale.clone(), probes };
+    write_json(&folder.root().join(JSON), &report)?;
+    write_whole(&folder.root().join(MARKDOWN), page::markdown(&report, folder).as_bytes())?;
+    Ok(report)
+}
