@@ -1,0 +1,132 @@
+//! Encoded directions: what they cost early, and what they make of few directions.
+
+use crate::dataset::{Dataset, GenerateConfig, Regime, SplitName};
+use crate::error::Result;
+use crate::evaluate::split_table;
+use crate::report::figures::Series;
+use crate::stability::probe::{Bound, Group, Outcome, Plot, Probe};
+use crate::stability::workshop::{Model, Workshop, split_errors};
+
+/// gamma(wi), gamma(wo) with 4 octaves in place of the directions, as printed.
+const PRINTED: [&str; 4] = [
+    "model.encoding.wi.bands=4",
+    "model.encoding.wi.raw=false",
+    "model.encoding.wo.bands=4",
+    "model.encoding.wo.raw=false",
+];
+/// Amplitudes of the curve.
+const AMPLITUDES: [f64; 4] = [0.1, 0.25, 0.5, 1.0];
+/// The amplitude that cured early prototypes.
+const GENTLE: f64 = 0.25;
+/// Pairs of directions of the probe and, in the full suite, of the curve.
+const FEW: usize = 90;
+const PAIRS: [usize; 3] = [30, 270, FEW];
+/// Training samples on which an error is measured.
+const SEEN: u64 = 100_000;
+
+pub(super) fn probes() -> Vec<Probe> {
+    vec![
+        Probe {
+            name: "gamma-on-gloss",
+            group: Group::Training,
+            provokes: "gamma(wi), gamma(wo) make a glossy material's training collapse early: a highlight moves through all \
+                       phases of the finest octave, and the error on training data is as bad as on others.",
+            naive: "4 octaves in place of wi and wo, as printed",
+            cured: "the directions themselves, as in `improved`",
+            figure: "`mse` on training data over that of octaves of amplitude 0.25 beside the directions",
+            bound: Bound { most: 1.1, reason: "an encoding may not cost more than seeds differ" },
+            run: gloss,
+        },
+        Probe {
+            name: "few-directions",
+            group: Group::Training,
+            provokes: "90 pairs of directions, a whole image each: octaves of wi and wo fit them one by one, and other directions \
+                       are answered at random.",
+            naive: "4 octaves in place of wi and wo on 90 slices",
+            cured: "the same number of samples in scattered patches, each with a pair of its own; the directions themselves",
+            figure: "`mse` on held-out directions over `mse` on training data",
+            bound: Bound { most: 1.5, reason: "what is learnt has to carry over to directions in between" },
+            run: few,
+        },
+    ]
+}
+
+fn gentle(amplitude: f64) -> Vec<String> {
+    let mut set = Vec::new();
+    for w in ["wi", "wo"] {
+        set.push(format!("model.encoding.{w}.bands=4"));
+        set.push(format!("model.encoding.{w}.amplitude={amplitude}"));
+    }
+    set
+}
+
+/// `mse` on data that the model has seen.
+fn seen(model: &Model, data: &Dataset) -> Result<f64> {
+    let rows = split_table(&model.material, data, SplitName::Train, SEEN, None)?;
+    Ok(rows.last().map_or(f64::NAN, |row| row.errors.mse))
+}
+
+fn gloss(workshop: &mut Workshop) -> Result<Outcome> {
+    let material = workshop.scale().glossy().to_string();
+    let data = workshop.data(&material)?;
+    let mut error = |set: &[&str]| -> Result<f64> {
+        let trained = workshop.train(&material, "improved", set)?;
+        trained.model().map_or(Ok(f64::NAN), |model| seen(model, &data))
+    };
+    let printed = error(&PRINTED)?;
+    let raw = error(&[])?;
+    let mut points = Vec::new();
+    for amplitude in AMPLITUDES {
+        let set = gentle(amplitude);
+        points.push((amplitude, error(&set.iter().map(String::as_str).collect::<Vec<_>>())?));
+    }
+    let base = points.iter().find(|p| p.0 == GENTLE).map_or(f64::NAN, |p| p.1);
+    let level =
+        |name: &str, value: f64| Series { name: name.into(), points: vec![(0.0, value), (1.0, value)] };
+    let series = vec![
+        Series { name: "beside them".into(), points },
+        level("in their place", printed),
+        level("none", raw),
+    ];
+    let plot = Plot { x: "amplitude of gamma(wi), gamma(wo)".into(), y: "mse, training data".into(), series };
+    Ok(Outcome { plot: Some(plot), ..Outcome::new(printed / base, raw / base) })
+}
+
+fn few(workshop: &mut Workshop) -> Result<Outcome> {
+    let material = workshop.scale().glossy().to_string();
+    let held_out = workshop.data(&material)?;
+    let reference = workshop.reference(&material)?;
+    let quick = workshop.scale().name == "quick";
+    let mut series = vec![
+        Series { name: "octaves".into(), points: Vec::new() },
+        Series { name: "directions".into(), points: Vec::new() },
+    ];
+    let mut naive = f64::NAN;
+    for pairs in PAIRS.into_iter().skip(if quick { PAIRS.len() - 1 } else { 0 }) {
+        let config = GenerateConfig {
+            regime: Regime::Slices(pairs),
+            test_pairs: 0,
+            offgrid_samples: 0,
+            grazing_samples: 0,
+            ..workshop.generation()
+        };
+        let data = workshop.data_of(&format!("{material}-slices-{pairs}"), &*reference, &config)?;
+        for (line, set) in series.iter_mut().zip([&PRINTED[..], &[]]) {
+            let config = workshop.config("improved", set)?;
+            let trained = workshop.train_on("slices", config, &data)?;
+            let Some(model) = trained.model() else { continue };
+            let gap = split_errors(&model.material, &held_out, SplitName::Test)?.mse / seen(model, &data)?;
+            line.points.push((pairs as f64, gap));
+            if line.name == "octaves" {
+                naive = gap;
+            }
+        }
+    }
+    let trained = workshop.train(&material, "improved", &[])?;
+    let model = trained.sound()?;
+    let cured = split_errors(&model.material, &held_out, SplitName::Test)?.mse / seen(model, &held_out)?;
+    series.iter_mut().for_each(|line| line.points.sort_by(|a, b| a.0.total_cmp(&b.0)));
+    let values = series.iter().filter_map(|s| Some((s.name.clone(), s.points.last()?.1))).collect();
+    let plot = Plot { x: "pairs of directions".into(), y: "mse, held out over seen".into(), series };
+    Ok(Outcome { plot: Some(plot), values, ..Outcome::new(naive, cured) })
+}

@@ -1,0 +1,104 @@
+//! Learning rates that are too high, and how much a seed decides.
+
+use crate::dataset::SplitName;
+use crate::error::Result;
+use crate::report::figures::Series;
+use crate::stability::probe::{Bound, Group, Outcome, Plot, Probe};
+use crate::stability::workshop::{Workshop, split_errors};
+
+/// Learning rates over that of `improved`; the quick suite takes the first and the last.
+const FACTORS: [f64; 5] = [1.0, 2.0, 5.0, 20.0, 10.0];
+/// The highest learning rate of `improved`.
+const PEAK: f64 = 0.006;
+/// What a high rate needs.
+const CAREFUL: [&str; 2] = ["train.learning_rate.warmup=0.1", "train.adam.beta1=0.9"];
+const CARELESS: [&str; 1] = ["train.learning_rate.warmup=0.0"];
+/// As many published trainings are: one rate to the end.
+const CONSTANT: &str = r#"train.learning_rate.decay={"kind":"constant"}"#;
+
+pub(super) fn probes() -> Vec<Probe> {
+    vec![
+        Probe {
+            name: "learning-rate-x10",
+            group: Group::Training,
+            provokes: "A learning rate ten times too high throws networks into corners from which they do not come back.",
+            naive: "rate x 10 from the first step on",
+            cured: "the same rate with warm-up and clipped gradients",
+            figure: "`mse` on the test split over that at the usual rate",
+            bound: Bound {
+                most: 1.5,
+                reason: "a wrong guess of the rate may cost accuracy, but not the training",
+            },
+            run: rates,
+        },
+        Probe {
+            name: "seed-spread",
+            group: Group::Training,
+            provokes: "Where a seed decides more than a method, comparisons of methods are dice.",
+            naive: "a constant learning rate, the state at the end",
+            cured: "the rate falls along a cosine",
+            figure: "largest less least `mse` on the test split over their mean",
+            bound: Bound {
+                most: 0.1,
+                reason: "what `docs/presets.md` calls a difference must be larger than this",
+            },
+            run: seeds,
+        },
+    ]
+}
+
+fn rates(workshop: &mut Workshop) -> Result<Outcome> {
+    let material = workshop.scale().glossy().to_string();
+    let data = workshop.data(&material)?;
+    let usual = workshop.train(&material, "improved", &[])?;
+    let usual = split_errors(&usual.sound()?.material, &data, SplitName::Test)?.mse;
+    let quick = workshop.scale().name == "quick";
+    let mut figures = [f64::NAN; 2];
+    let mut series = Vec::new();
+    let variants = [("careless", &CARELESS[..]), ("careful", &CAREFUL[..])];
+    for (k, (name, set)) in variants.into_iter().enumerate() {
+        let mut points = Vec::new();
+        for factor in FACTORS.into_iter().skip(if quick { FACTORS.len() - 1 } else { 0 }) {
+            let peak = format!("train.learning_rate.peak={}", PEAK * factor);
+            let set: Vec<&str> = set.iter().copied().chain([peak.as_str()]).collect();
+            let trained = workshop.train(&material, "improved", &set)?;
+            let mse = match trained.model() {
+                Some(model) => split_errors(&model.material, &data, SplitName::Test)?.mse / usual,
+                None => f64::NAN,
+            };
+            points.push((factor, mse));
+            figures[k] = mse;
+        }
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        series.push(Series { name: name.into(), points });
+    }
+    let plot = Plot { x: "learning rate over the usual".into(), y: "mse over the usual".into(), series };
+    Ok(Outcome { plot: Some(plot), ..Outcome::new(figures[0], figures[1]) })
+}
+
+fn seeds(workshop: &mut Workshop) -> Result<Outcome> {
+    let material = workshop.scale().glossy().to_string();
+    let data = workshop.data(&material)?;
+    let mut series = Vec::new();
+    for (name, set) in [("constant", &[CONSTANT][..]), ("cosine", &[])] {
+        let mut points = Vec::new();
+        for seed in 1..=workshop.scale().seeds {
+            let seeded = format!("train.seed={seed}");
+            let set: Vec<&str> = set.iter().copied().chain([seeded.as_str()]).collect();
+            let trained = workshop.train(&material, "improved", &set)?;
+            let mse = split_errors(&trained.sound()?.material, &data, SplitName::Test)?.mse;
+            points.push((seed as f64, mse));
+        }
+        series.push(Series { name: name.into(), points });
+    }
+    let spreads: Vec<f64> = series.iter().map(|line| spread(&line.points)).collect();
+    let plot = Plot { x: "seed".into(), y: "mse, test".into(), series };
+    Ok(Outcome { plot: Some(plot), ..Outcome::new(spreads[0], spreads[1]) })
+}
+
+/// Largest less least over the mean.
+fn spread(points: &[(f64, f64)]) -> f64 {
+    let values = points.iter().map(|p| p.1);
+    let mean = values.clone().sum::<f64>() / points.len() as f64;
+    (values.clone().fold(f64::MIN, f64::max) - values.fold(f64::MAX, f64::min)) / mean
+}
