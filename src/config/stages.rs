@@ -56,6 +56,10 @@ pub enum TermKind {
     L1,
     /// Mean squared difference; with remap `log` NeuMIP's MSE of log1p.
     L2,
+    /// Squared linear difference times the remap's slope at the prediction, the slope held constant: weighted as `l2` is to
+    /// first order, but least at the mean of noisy targets, where `l2` of remapped values is least at a biased one and `l1`
+    /// at their median (Lehtinen et al. 2018, Noise2Noise, section 3.3: slope 1 / (x + 0.01)).
+    L2Mean,
     /// Squared difference of Sobel-x and Sobel-y responses, RGB (paper, equation 1).
     Gradient,
     /// Absolute difference of half-strength Sobel responses of luma (authors' code).
@@ -135,7 +139,35 @@ impl Stage {
             {
                 return fail(format!("terms[{j}].remap"), format!("epsilon {e} is not positive"));
             }
+            if let (TermKind::L2Mean, Remap::Root4Literal | Remap::Root4Guarded) = (term.kind, term.remap) {
+                let problem = "l2-mean weighs by the remap's slope, which is 0 below 0 or without bound at it here; use \
+                               root4-signed, sqrt, log or linear";
+                return fail(format!("terms[{j}].remap"), problem.into());
+            }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn l2_mean_is_written_so_and_refused_where_the_slope_means_nothing() {
+        let stage = |remap: &str| -> Stage {
+            let term = format!("{{\"kind\":\"l2-mean\",\"remap\":{remap},\"weight\":1.0}}");
+            serde_json::from_str(&format!("{{\"share\":1.0,\"terms\":[{term}]}}")).unwrap()
+        };
+        for good in ["\"linear\"", "\"log\"", "{\"sqrt\":0.01}", "{\"root4-signed\":0.001}"] {
+            stage(good).validate("stage").unwrap();
+        }
+        for bad in ["\"root4-literal\"", "\"root4-guarded\""] {
+            let mut stage = stage(bad);
+            let problem = stage.validate("stage").unwrap_err().to_string();
+            assert!(problem.contains("stage.terms[0].remap") && problem.contains("l2-mean"), "{problem}");
+            stage.terms[0].kind = TermKind::L2;
+            stage.validate("stage").unwrap();
+        }
     }
 }

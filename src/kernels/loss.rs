@@ -3,16 +3,13 @@
 //! Terms that share a remap are evaluated together. A plane is flat: the neighbours of sample i are i - 1, i + 1, i - side
 //! and i + side, and a mask keeps the Sobel windows that lie inside one patch, so vectors need not care where a row ends.
 
+mod curve;
 #[cfg(test)]
 mod tests;
 
-use super::math;
 use super::simd::{Isa, Simd, Work, dispatch};
+use curve::{Curve, absolute, sign};
 
-/// Least value under the guarded 4th root (authors' code).
-const GUARD: f32 = 1e-7;
-/// Least value under log1p (NeuMIP's code).
-const LOG_FLOOR: f32 = -0.1;
 /// Rec. 601 luma.
 const LUMA: [f32; 3] = [0.299, 0.587, 0.114];
 /// Lanes of the widest instruction set; planes are padded to a multiple of it.
@@ -27,6 +24,8 @@ pub enum Kind {
     L1,
     /// Squared difference.
     L2,
+    /// Squared linear difference times the slope of the remap at the prediction, which is held constant.
+    L2Mean,
     /// Squared difference of Sobel-x and Sobel-y responses, RGB (paper, equation 1).
     Gradient,
     /// Absolute difference of half-strength Sobel responses of luma (authors' code).
@@ -57,7 +56,7 @@ pub struct Term {
     pub kind: Kind,
     /// Applied to prediction and target first.
     pub remap: Remap,
-    /// The term's weight over the batch's count: 3 a pixel for L1 and L2, 3 an interior pixel for Gradient, 1 an interior
+    /// The term's weight over the batch's count: 3 a pixel for L1, L2 and L2Mean, 3 an interior pixel for Gradient, 1 an interior
     /// pixel for GradientLuma. Not looked at where a piece has no interior pixel.
     pub scale: f32,
 }
@@ -123,6 +122,7 @@ struct Group {
     remap: Remap,
     l1: f32,
     l2: f32,
+    l2_mean: f32,
     gradient: f32,
     luma: f32,
 }
@@ -131,12 +131,14 @@ impl Group {
     /// The terms that have the remap of `terms[0]`, for a piece of the given weight.
     #[inline(always)]
     fn new(terms: &[Term], weight: f32, has_interior: bool) -> Self {
-        let mut group = Self { remap: terms[0].remap, l1: 0.0, l2: 0.0, gradient: 0.0, luma: 0.0 };
+        let mut group =
+            Self { remap: terms[0].remap, l1: 0.0, l2: 0.0, l2_mean: 0.0, gradient: 0.0, luma: 0.0 };
         for term in terms {
             if term.remap == group.remap {
                 match term.kind {
                     Kind::L1 => group.l1 += term.scale * weight,
                     Kind::L2 => group.l2 += term.scale * weight,
+                    Kind::L2Mean => group.l2_mean += term.scale * weight,
                     Kind::Gradient if has_interior => group.gradient += term.scale * weight,
                     Kind::GradientLuma if has_interior => group.luma += term.scale * weight,
                     Kind::Gradient | Kind::GradientLuma => {}
@@ -230,7 +232,7 @@ pub fn piece<S: Simd>(
     loss
 }
 
-/// L1 and L2 of one channel: adds the gradient, returns the loss, and leaves differences and slopes for windows.
+/// L1, L2 and L2Mean of one channel: adds the gradient, returns the loss, and leaves differences and slopes for windows.
 #[inline(always)]
 fn pointwise<S: Simd>(
     s: S,
@@ -241,22 +243,24 @@ fn pointwise<S: Simd>(
 ) -> f64 {
     let n = prediction.len();
     let curve = Curve::new(s, group.remap);
-    let (keep, pointwise) = (group.has_windows(), group.l1 != 0.0 || group.l2 != 0.0);
-    let (zero, l1, l2) = (s.splat(0.0), s.splat(group.l1), s.splat(group.l2));
-    let twice = s.add(l2, l2);
+    let (keep, remapped) = (group.has_windows(), group.l1 != 0.0 || group.l2 != 0.0);
+    let (zero, l1, l2, mean) = (s.splat(0.0), s.splat(group.l1), s.splat(group.l2), s.splat(group.l2_mean));
+    let (twice, twice_mean) = (s.add(l2, l2), s.add(mean, mean));
     let mut loss = 0.0;
     for start in (0..n).step_by(BLOCK) {
         let mut sum = zero;
         for at in (start..n.min(start + BLOCK)).step_by(S::LANES) {
-            let (value, slope) = curve.at(s, read(s, prediction, at));
-            let difference = s.sub(value, curve.at(s, read(s, target, at)).0);
-            if keep {
-                s.store(&mut differences[at..], difference);
-                s.store(&mut slopes[at..], slope);
-            }
-            if pointwise {
+            let (p, t) = (read(s, prediction, at), read(s, target, at));
+            let (value, held) = curve.at(s, p);
+            // Each only where it is asked for: 0 times an infinite error is no number.
+            if keep || remapped {
+                let slope = curve.cut(s, p, held);
+                let difference = s.sub(value, curve.at(s, t).0);
+                if keep {
+                    s.store(&mut differences[at..], difference);
+                    s.store(&mut slopes[at..], slope);
+                }
                 let mut step = zero;
-                // Each only where it is asked for: 0 times an infinite error is no number.
                 if group.l1 != 0.0 {
                     sum = s.fma(absolute(s, difference), l1, sum);
                     step = s.mul(sign(s, difference), l1);
@@ -265,7 +269,14 @@ fn pointwise<S: Simd>(
                     sum = s.fma(s.mul(difference, difference), l2, sum);
                     step = s.fma(difference, twice, step);
                 }
-                add(s, gradient, at, n, s.mul(step, slope));
+                if remapped {
+                    add(s, gradient, at, n, s.mul(step, slope));
+                }
+            }
+            if group.l2_mean != 0.0 {
+                let residual = s.mul(s.sub(p, t), held);
+                sum = s.fma(s.mul(residual, residual), mean, sum);
+                add(s, gradient, at, n, s.mul(s.mul(residual, held), twice_mean));
             }
         }
         loss += total(s, sum);
@@ -326,88 +337,6 @@ fn adjoint<S: Simd>(s: S, [x, y]: &[Vec<f32>; 2], side: usize, here: usize) -> S
     let across = s.sub(s.load(&x[here + 1..]), s.load(&x[here - 1..]));
     let along = s.sub(s.load(&y_down[1..]), s.load(&y_up[1..]));
     s.fma(s.add(across, along), s.splat(2.0), s.add(falling, rising))
-}
-
-/// A remap and its constants in lanes.
-struct Curve<S: Simd> {
-    remap: Remap,
-    epsilon: S::F,
-    /// The root of epsilon, taken as other roots are: the image of 0 is 0.
-    at_zero: S::F,
-}
-
-impl<S: Simd> Curve<S> {
-    #[inline(always)]
-    fn new(s: S, remap: Remap) -> Self {
-        let (epsilon, at_zero) = match remap {
-            Remap::Root4Signed(e) => (s.splat(e), s.sqrt(s.sqrt(s.splat(e)))),
-            Remap::Sqrt(e) => (s.splat(e), s.sqrt(s.splat(e))),
-            _ => (s.splat(0.0), s.splat(0.0)),
-        };
-        Self { remap, epsilon, at_zero }
-    }
-
-    /// Value and slope.
-    #[inline(always)]
-    fn at(&self, s: S, x: S::F) -> (S::F, S::F) {
-        match self.remap {
-            Remap::Linear => (x, s.splat(1.0)),
-            Remap::Root4Literal => root4(s, x),
-            Remap::Root4Guarded => {
-                let (value, slope) = root4(s, s.max(s.splat(GUARD), x));
-                (value, above(s, x, GUARD, slope))
-            }
-            Remap::Root4Signed(_) => {
-                let (value, slope) = root4(s, s.add(absolute(s, x), self.epsilon));
-                (with_sign(s, s.sub(value, self.at_zero), x), slope)
-            }
-            Remap::Sqrt(_) => {
-                let root = s.sqrt(s.add(absolute(s, x), self.epsilon));
-                (with_sign(s, s.sub(root, self.at_zero), x), s.div(s.splat(0.5), root))
-            }
-            Remap::Log => {
-                let y = s.add(s.max(s.splat(LOG_FLOOR), x), s.splat(1.0));
-                // Adding 0 y keeps the loss of an infinity from being a number, which `ln` alone would make of it.
-                let value = s.fma(y, s.splat(0.0), math::ln(s, y));
-                (value, above(s, x, LOG_FLOOR, s.div(s.splat(1.0), y)))
-            }
-        }
-    }
-}
-
-/// x^(1/4) and its slope.
-#[inline(always)]
-fn root4<S: Simd>(s: S, x: S::F) -> (S::F, S::F) {
-    let half = s.sqrt(x);
-    let root = s.sqrt(half);
-    (root, s.div(s.splat(0.25), s.mul(half, root)))
-}
-
-/// The slope of max(x, least), times `slope`: half of it where they are equal, as candle has it.
-#[inline(always)]
-fn above<S: Simd>(s: S, x: S::F, least: f32, slope: S::F) -> S::F {
-    let least = s.splat(least);
-    let equal = s.mul(slope, s.splat(0.5));
-    s.select(s.greater(x, least), slope, s.select(s.greater(least, x), s.splat(0.0), equal))
-}
-
-/// |x|.
-#[inline(always)]
-fn absolute<S: Simd>(s: S, x: S::F) -> S::F {
-    s.as_float(s.int_and(s.bits(x), s.int(i32::MAX)))
-}
-
-/// A magnitude with the sign of x.
-#[inline(always)]
-fn with_sign<S: Simd>(s: S, magnitude: S::F, x: S::F) -> S::F {
-    s.as_float(s.int_xor(s.bits(magnitude), s.int_and(s.bits(x), s.int(i32::MIN))))
-}
-
-/// -1, 0 or 1; x itself where it is no number.
-#[inline(always)]
-fn sign<S: Simd>(s: S, x: S::F) -> S::F {
-    let zero = s.splat(0.0);
-    s.select(s.greater(x, zero), s.splat(1.0), s.select(s.greater(zero, x), s.splat(-1.0), x))
 }
 
 /// A vector from element `at` on; past the end 1, where every remap and slope is finite.

@@ -108,14 +108,20 @@ impl Target {
         let prediction = prediction.reshape(self.rgb.shape())?;
         let mut total: Option<Tensor> = None;
         for term in terms {
-            let difference = (remap::apply(&prediction, term.remap)? - remap::apply(&self.rgb, term.remap)?)?;
+            let difference = match term.kind {
+                TermKind::L2Mean => {
+                    // Held, so that the error is least where the residual is 0 on average and nowhere else.
+                    ((&prediction - &self.rgb)? * remap::slope(&prediction.detach(), term.remap)?)?
+                }
+                _ => (remap::apply(&prediction, term.remap)? - remap::apply(&self.rgb, term.remap)?)?,
+            };
             let counted = |errors: Tensor| match &self.counted {
                 Some(mask) => errors.broadcast_mul(mask),
                 None => Ok(errors),
             };
             let (errors, count) = match (term.kind, &self.interior) {
                 (TermKind::L1, _) => (counted(difference.abs()?)?, 3 * self.means.pixels),
-                (TermKind::L2, _) => (counted(difference.sqr()?)?, 3 * self.means.pixels),
+                (TermKind::L2 | TermKind::L2Mean, _) => (counted(difference.sqr()?)?, 3 * self.means.pixels),
                 (TermKind::Gradient, Some(mask)) => {
                     (gradient::squared(&difference)?.broadcast_mul(mask)?, 3 * self.means.interior)
                 }

@@ -24,6 +24,25 @@ pub fn apply(x: &Tensor, remap: Remap) -> Result<Tensor> {
     })
 }
 
+/// The slope of [`apply`] at x; past a guard, the slope at it.
+///
+/// # Errors
+/// Whatever candle refuses.
+pub fn slope(x: &Tensor, remap: Remap) -> Result<Tensor> {
+    let root4 = |x: Tensor| -> Result<Tensor> {
+        let half = x.sqrt()?;
+        Ok(((&half * half.sqrt()?)?.recip()? * 0.25)?)
+    };
+    match remap {
+        Remap::Linear => Ok(x.ones_like()?),
+        Remap::Root4Literal => root4(x.clone()),
+        Remap::Root4Guarded => root4(x.maximum(GUARD)?),
+        Remap::Root4Signed(epsilon) => root4((x.abs()? + epsilon)?),
+        Remap::Sqrt(epsilon) => Ok(((x.abs()? + epsilon)?.sqrt()?.recip()? * 0.5)?),
+        Remap::Log => Ok((x.maximum(LOG_FLOOR)? + 1.0)?.recip()?),
+    }
+}
+
 /// sign(x) (root(|x| + epsilon) - root(epsilon)): odd, with a finite slope at 0.
 fn signed(
     x: &Tensor,

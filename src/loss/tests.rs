@@ -32,10 +32,26 @@ fn remap64(x: f64, remap: Remap) -> f64 {
     }
 }
 
-/// The term summed patch by patch, as the paper's equation 1 reads.
-fn term64(term: Term, prediction: &[f64], target: &[f64]) -> f64 {
+/// Its slope; past a guard, the slope at it.
+fn slope64(x: f64, remap: Remap) -> f64 {
+    let signed = |e: f64, p: f64| p * (x.abs() + e).powf(p - 1.0);
+    match remap {
+        Remap::Linear => 1.0,
+        Remap::Root4Literal => 0.25 * x.powf(-0.75),
+        Remap::Root4Guarded => 0.25 * x.max(1e-7).powf(-0.75),
+        Remap::Root4Signed(e) => signed(e, 0.25),
+        Remap::Sqrt(e) => signed(e, 0.5),
+        Remap::Log => 1.0 / (1.0 + x.max(-0.1)),
+    }
+}
+
+/// The term summed patch by patch, as the paper's equation 1 reads; `held` is where slopes that are held constant are taken.
+fn term64(term: Term, prediction: &[f64], target: &[f64], held: &[f64]) -> f64 {
     let difference = |piece: usize, row: usize, column: usize, c: usize| {
         let k = ((piece * SIDE + row) * SIDE + column) * 3 + c;
+        if term.kind == TermKind::L2Mean {
+            return (prediction[k] - target[k]) * slope64(held[k], term.remap);
+        }
         remap64(prediction[k], term.remap) - remap64(target[k], term.remap)
     };
     let (mut sum, mut interior, mut counted) = (0.0, 0usize, 0usize);
@@ -57,7 +73,7 @@ fn term64(term: Term, prediction: &[f64], target: &[f64]) -> f64 {
                 sum += weight
                     * match term.kind {
                         TermKind::L1 => pixelwise(f64::abs),
-                        TermKind::L2 => pixelwise(|d| d * d),
+                        TermKind::L2 | TermKind::L2Mean => pixelwise(|d| d * d),
                         _ if !inside => 0.0,
                         TermKind::Gradient => (0..3)
                             .map(|c| sobel64(&|r, q| difference(piece, r, q, c), row, column))
@@ -79,7 +95,7 @@ fn term64(term: Term, prediction: &[f64], target: &[f64]) -> f64 {
         }
     }
     let count = match term.kind {
-        TermKind::L1 | TermKind::L2 => 3 * counted,
+        TermKind::L1 | TermKind::L2 | TermKind::L2Mean => 3 * counted,
         TermKind::Gradient => 3 * interior,
         TermKind::GradientLuma => interior,
     };
@@ -133,14 +149,15 @@ fn worst(term: Term, perturb: f64) -> f64 {
         .map(f64::from)
         .collect();
     let mut x: Vec<f64> = prediction.iter().map(|v| f64::from(*v)).collect();
+    let held = x.clone();
     let t: Vec<f64> = target.iter().map(|v| f64::from(*v)).collect();
     let expected: Vec<f64> = (0..x.len())
         .map(|k| {
             let at = x[k];
             x[k] = at + STEP;
-            let up = term64(term, &x, &t);
+            let up = term64(term, &x, &t, &held);
             x[k] = at - STEP;
-            let down = term64(term, &x, &t);
+            let down = term64(term, &x, &t, &held);
             x[k] = at;
             (up - down) / (2.0 * STEP)
         })
@@ -148,7 +165,7 @@ fn worst(term: Term, perturb: f64) -> f64 {
     let scale = expected.iter().fold(0.0f64, |m, g| m.max(g.abs()));
     gradient[5] += perturb * scale;
     let value = f64::from(loss.to_scalar::<f32>().unwrap());
-    let exact = term64(term, &x, &t);
+    let exact = term64(term, &x, &t, &held);
     let of_value = (value - exact).abs() / exact.abs();
     gradient.iter().zip(&expected).map(|(a, b)| (a - b).abs() / scale).fold(of_value, f64::max)
 }
@@ -163,7 +180,7 @@ fn values_and_gradients_follow_float64_and_a_perturbed_one_does_not() {
         Remap::Sqrt(1e-3),
         Remap::Log,
     ];
-    for kind in [TermKind::L1, TermKind::L2, TermKind::Gradient, TermKind::GradientLuma] {
+    for kind in [TermKind::L1, TermKind::L2, TermKind::L2Mean, TermKind::Gradient, TermKind::GradientLuma] {
         for remap in remaps {
             let term = Term { kind, remap, weight: 0.7 };
             let error = worst(term, 0.0);

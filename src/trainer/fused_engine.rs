@@ -155,6 +155,7 @@ fn scaled(terms: &[Term], means: Means) -> Vec<loss::Term> {
         let (kind, count) = match term.kind {
             TermKind::L1 => (loss::Kind::L1, 3 * means.pixels),
             TermKind::L2 => (loss::Kind::L2, 3 * means.pixels),
+            TermKind::L2Mean => (loss::Kind::L2Mean, 3 * means.pixels),
             TermKind::Gradient => (loss::Kind::Gradient, 3 * means.interior),
             TermKind::GradientLuma => (loss::Kind::GradientLuma, means.interior),
         };

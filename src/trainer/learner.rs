@@ -8,7 +8,7 @@ use crate::error::Result;
 use crate::kernels::simd::Isa;
 use crate::model::Variables;
 use crate::model::texture::Sigmas;
-use candle_core::Device;
+use candle_core::{Device, Var};
 use neumip_export::config::{Architecture, OFFSET_TEXTURE};
 
 /// A model that learns step by step.
@@ -19,7 +19,12 @@ pub struct Learner {
     engine: Box<dyn Engine>,
     /// How the textures were read; none where the next step has to read them anew.
     sigmas: Option<Sigmas>,
+    /// Most that a tensor of the networks moves in an update, as a share of its size.
+    clip: Option<f64>,
 }
+
+/// Least size of a tensor that a share is taken of: one that is 0 still has to move.
+const LEAST_SIZE: f64 = 0.02;
 
 impl Learner {
     /// A model with fresh moments.
@@ -49,7 +54,14 @@ impl Learner {
     ) -> Result<Self> {
         let optimiser = Optimiser::new(variables.zeros_like()?, variables.zeros_like()?, adam);
         let engine = Box::new(FusedEngine::new(architecture, isa));
-        Ok(Self { architecture: architecture.clone(), engine, variables, optimiser, sigmas: None })
+        Ok(Self {
+            architecture: architecture.clone(),
+            engine,
+            variables,
+            optimiser,
+            sigmas: None,
+            clip: None,
+        })
     }
 
     /// A model with saved first and second moments.
@@ -70,7 +82,16 @@ impl Learner {
             variables,
             optimiser: Optimiser::new(first, second, adam),
             sigmas: None,
+            clip: None,
         })
+    }
+
+    /// The same, with the size of the networks' updates bounded: the learning rate of each weight matrix or bias is at most
+    /// this share of its root mean square. Adam moves an element by about the learning rate whatever the gradient's size, so
+    /// that a bound on the gradient's norm bounds nothing; after a large relative move ReLUs answer 0 for every query, and
+    /// never learn again (the trust ratio of You et al. 2020, LAMB, as a bound).
+    pub fn with_clip(self, clip: Option<f64>) -> Self {
+        Self { clip, ..self }
     }
 
     /// What learns.
@@ -108,7 +129,15 @@ impl Learner {
     pub fn update_networks(&mut self, rate: f64, t: u64) -> Result<()> {
         self.optimiser.begin(rate, t);
         let (optimiser, variables) = (&self.optimiser, &self.variables);
-        self.engine.networks(&mut |name, gradient| optimiser.update(name, variables.get(name)?, gradient))
+        let clip = self.clip;
+        self.engine.networks(&mut |name, gradient| {
+            let variable = variables.get(name)?;
+            let most = match clip {
+                Some(share) => share * size(variable)?.max(LEAST_SIZE),
+                None => f64::INFINITY,
+            };
+            optimiser.update(name, variable, gradient, most)
+        })
     }
 
     /// Updates the textures with the gradients of all steps since the last time; `t` counts these updates from 1.
@@ -121,7 +150,14 @@ impl Learner {
         let (optimiser, variables) = (&self.optimiser, &self.variables);
         self.engine.textures(&sigmas, &mut |name, gradient| match name == OFFSET_TEXTURE && !offset_texture {
             true => Ok(()),
-            false => optimiser.update(name, variables.get(name)?, gradient),
+            false => optimiser.update(name, variables.get(name)?, gradient, f64::INFINITY),
         })
     }
+}
+
+/// The root mean square of a variable's values, which the first to the last are added up for.
+fn size(variable: &Var) -> Result<f64> {
+    let values: Vec<f32> = variable.as_tensor().flatten_all()?.to_vec1()?;
+    let squares: f64 = values.iter().map(|v| f64::from(*v).powi(2)).sum();
+    Ok((squares / values.len().max(1) as f64).sqrt())
 }

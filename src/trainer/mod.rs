@@ -99,6 +99,7 @@ impl Trainer {
         let variables = Variables::initial(&architecture, config.train.seed, device)?;
         let train = &config.train;
         let learner = Learner::new(&architecture, variables, train.adam, train.engine, device)?;
+        let learner = learner.with_clip(train.clip);
         let sources = Sources::open(&config, data, memory, 0)?;
         let folder =
             RunFolder::create(out, &RunRecord::new(config.clone(), data.identity()?, memory), force)?;
@@ -135,6 +136,7 @@ impl Trainer {
         let moments = [restore("first.")?, restore("second.")?];
         let train = &config.train;
         let learner = Learner::restored(&architecture, variables, moments, train.adam, train.engine, device)?;
+        let learner = learner.with_clip(train.clip);
         let progress: Progress = serde_json::from_value(state.progress).map_err(|e| Error::file(out, e))?;
         let sources = Sources::open(&config, data, record.memory, progress.step)?;
         let mut this = Self::assemble(config, learner, sources, data, folder, device)?;

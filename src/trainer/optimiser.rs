@@ -13,13 +13,14 @@ pub(super) struct Optimiser {
     config: AdamConfig,
     first: Variables,
     second: Variables,
-    update: Update,
+    rate: f64,
+    step: u64,
 }
 
 impl Optimiser {
     /// Adam with these moments.
     pub fn new(first: Variables, second: Variables, config: AdamConfig) -> Self {
-        Self { config, first, second, update: Update::new(0.0, 0.0, 0.0, 1.0, 1) }
+        Self { config, first, second, rate: 0.0, step: 1 }
     }
 
     /// First and second moments.
@@ -29,13 +30,15 @@ impl Optimiser {
 
     /// Begins update `t`, counted from 1.
     pub fn begin(&mut self, rate: f64, t: u64) {
-        self.update = Update::new(rate, self.config.beta1, self.config.beta2, self.config.epsilon, t);
+        (self.rate, self.step) = (rate, t);
     }
 
-    /// Updates one variable.
-    pub fn update(&self, name: &str, variable: &Var, gradient: Gradient) -> Result<()> {
+    /// Updates one variable, at the learning rate or at `most` if that is less.
+    pub fn update(&self, name: &str, variable: &Var, gradient: Gradient, most: f64) -> Result<()> {
         let (first, second) = (self.first.get(name)?, self.second.get(name)?);
-        let (betas, update) = ([self.config.beta1, self.config.beta2], self.update);
+        let AdamConfig { beta1, beta2, epsilon } = self.config;
+        let update = Update::new(self.rate.min(most), beta1, beta2, epsilon, self.step);
+        let betas = [beta1, beta2];
         match gradient {
             Gradient::Tensor(gradient) => adam_step(variable, first, second, &gradient, betas, update)?,
             Gradient::Dense(values) => {

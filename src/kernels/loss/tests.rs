@@ -1,5 +1,6 @@
 //! Values by direct sums over patches and gradients by scattering windows, in float64; the latter by central differences.
 
+use super::curve::{GUARD, LOG_FLOOR};
 use super::*;
 use crate::random::{Random, Stream};
 
@@ -17,7 +18,7 @@ const STEP: f64 = 1e-6;
 /// Largest piece whose gradient is checked by central differences, samples.
 const SMALL: usize = 144;
 
-const KINDS: [Kind; 4] = [Kind::L1, Kind::L2, Kind::Gradient, Kind::GradientLuma];
+const KINDS: [Kind; 5] = [Kind::L1, Kind::L2, Kind::L2Mean, Kind::Gradient, Kind::GradientLuma];
 const REMAPS: [Remap; 6] = [
     Remap::Linear,
     Remap::Root4Literal,
@@ -102,14 +103,26 @@ impl Case {
         })
     }
 
+    /// The residuals of L2Mean, weighted by slopes at the case's own prediction wherever the residuals are taken.
+    fn residuals(&self, remap: Remap, prediction: &Planes64) -> Planes64 {
+        let (held, target) = (wide(&self.prediction), wide(&self.target));
+        std::array::from_fn(|c| {
+            let each = prediction[c].iter().zip(&target[c]).zip(&held[c]);
+            each.map(|((p, t), held)| (p - t) * held64(*held, remap)).collect()
+        })
+    }
+
     fn value64(&self, prediction: &Planes64) -> f64 {
         let mut loss = 0.0;
         for term in &self.terms {
-            let difference = self.difference(term.remap, prediction);
+            let difference = match term.kind {
+                Kind::L2Mean => self.residuals(term.remap, prediction),
+                _ => self.difference(term.remap, prediction),
+            };
             let pixelwise = |f: fn(f64) -> f64| difference.iter().flatten().map(|d| f(*d)).sum::<f64>();
             let errors: f64 = match term.kind {
                 Kind::L1 => pixelwise(f64::abs),
-                Kind::L2 => pixelwise(|d| d * d),
+                Kind::L2 | Kind::L2Mean => pixelwise(|d| d * d),
                 Kind::Gradient => self
                     .windows()
                     .into_iter()
@@ -130,13 +143,16 @@ impl Case {
     fn gradient64(&self, prediction: &Planes64) -> Planes64 {
         let mut gradient: Planes64 = prediction.each_ref().map(|plane| vec![0.0; plane.len()]);
         for term in &self.terms {
-            let difference = self.difference(term.remap, prediction);
+            let difference = match term.kind {
+                Kind::L2Mean => self.residuals(term.remap, prediction),
+                _ => self.difference(term.remap, prediction),
+            };
             let mut of_difference: Planes64 = prediction.each_ref().map(|plane| vec![0.0; plane.len()]);
             for (c, to) in of_difference.iter_mut().enumerate() {
                 let luma = [0.299, 0.587, 0.114][c];
                 match term.kind {
                     Kind::L1 => *to = difference[c].iter().map(|d| d.signum()).collect(),
-                    Kind::L2 => *to = difference[c].iter().map(|d| 2.0 * d).collect(),
+                    Kind::L2 | Kind::L2Mean => *to = difference[c].iter().map(|d| 2.0 * d).collect(),
                     Kind::Gradient => {
                         let back = |[x, y]: [f64; 2]| [2.0 * x, 2.0 * y];
                         self.scatter(&difference[c], back, to);
@@ -147,8 +163,12 @@ impl Case {
                     }
                 }
                 let factor = f64::from(term.scale) * f64::from(self.weight);
+                let slope = match term.kind {
+                    Kind::L2Mean => held64,
+                    _ => slope64,
+                };
                 for k in 0..to.len() {
-                    gradient[c][k] += factor * to[k] * slope64(prediction[c][k], term.remap);
+                    gradient[c][k] += factor * to[k] * slope(prediction[c][k], term.remap);
                 }
             }
         }
@@ -230,12 +250,21 @@ fn slope64(x: f64, remap: Remap) -> f64 {
     match remap {
         Remap::Linear => 1.0,
         Remap::Root4Literal => 0.25 * x.powf(-0.75),
-        Remap::Root4Guarded if x < 1e-7 => 0.0,
+        Remap::Root4Guarded if x < f64::from(GUARD) => 0.0,
         Remap::Root4Guarded => 0.25 * x.powf(-0.75),
         Remap::Root4Signed(e) => 0.25 * (x.abs() + f64::from(e)).powf(-0.75),
         Remap::Sqrt(e) => 0.5 * (x.abs() + f64::from(e)).powf(-0.5),
-        Remap::Log if x < -0.1 => 0.0,
+        Remap::Log if x < f64::from(LOG_FLOOR) => 0.0,
         Remap::Log => 1.0 / (1.0 + x),
+    }
+}
+
+/// The slope that L2Mean weighs by: past a guard, the slope at it.
+fn held64(x: f64, remap: Remap) -> f64 {
+    match remap {
+        Remap::Root4Guarded => slope64(x.max(f64::from(GUARD)), remap),
+        Remap::Log => slope64(x.max(f64::from(LOG_FLOOR)), remap),
+        _ => slope64(x, remap),
     }
 }
 
@@ -257,7 +286,7 @@ fn each(mut check: impl FnMut(Case)) {
 }
 
 fn is_pointwise(kind: Kind) -> bool {
-    matches!(kind, Kind::L1 | Kind::L2)
+    matches!(kind, Kind::L1 | Kind::L2 | Kind::L2Mean)
 }
 
 /// Terms of all kinds, two of one kind, remaps that are shared and that differ by their epsilon.
@@ -273,6 +302,9 @@ fn mixture() -> Vec<Term> {
         term(Kind::L1, Remap::Linear, 0.4),
         term(Kind::GradientLuma, Remap::Root4Signed(1e-3), 0.1),
         term(Kind::L2, Remap::Log, 0.9),
+        term(Kind::L2Mean, Remap::Root4Signed(1e-2), 0.05),
+        term(Kind::L2Mean, Remap::Log, 0.4),
+        term(Kind::L2Mean, Remap::Linear, 0.2),
     ]
 }
 
@@ -419,6 +451,39 @@ fn kinks_and_guards() {
             // Odd, and 0 at 0: the same distance from 0 to either side.
             assert_eq!(loss, run(Kind::L1, remap, 0.0, -0.5).0);
             assert_eq!(loss, run(Kind::L1, remap, -0.0, 0.5).0);
+        }
+    }
+}
+
+/// The prediction of one sample under which noisy targets have the least loss, found by bisection on the gradient's sign.
+fn least(isa: Isa, kind: Kind, remap: Remap, targets: &[f32]) -> f32 {
+    let side = targets.len().isqrt();
+    let mut case = Case::new(vec![Term { kind, remap, scale: 1.0 }], side, 1);
+    case.target.iter_mut().for_each(|plane| plane.copy_from_slice(targets));
+    let (mut low, mut high) = (0.0f32, 10.0f32);
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        case.prediction.iter_mut().for_each(|plane| plane.fill(middle));
+        let gradient: f32 = case.run(isa, &mut Scratch::new(side)).1[0].iter().sum();
+        if gradient < 0.0 { low = middle } else { high = middle }
+    }
+    low
+}
+
+#[test]
+fn l2_mean_is_least_at_the_mean_and_other_losses_of_remapped_values_are_not() {
+    /// f32 sums of the gradients of 64 targets.
+    const MEAN: f32 = 1e-4;
+    let mut random = Random::new(6, Stream::Probe, 0);
+    // Mostly small with a few large ones, as one light path a sample gives.
+    let targets: Vec<f32> = (0..64).map(|_| random.uniform().powi(6) * 8.0).collect();
+    let mean = targets.iter().sum::<f32>() / 64.0;
+    for isa in Isa::all() {
+        for remap in [Remap::Linear, Remap::Root4Signed(1e-3), Remap::Sqrt(1e-2), Remap::Log] {
+            let off = |kind| (least(isa, kind, remap, &targets) / mean - 1.0).abs();
+            assert!(off(Kind::L2Mean) < MEAN, "{} {remap:?} {}", isa.name(), off(Kind::L2Mean));
+            assert!(remap == Remap::Linear || off(Kind::L2) > 100.0 * MEAN, "{remap:?}");
+            assert!(off(Kind::L1) > 100.0 * MEAN, "{remap:?}");
         }
     }
 }
