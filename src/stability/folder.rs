@@ -5,6 +5,7 @@
 //! | `scale.json` | how much the suite does |
 //! | `data/NAME/`, `runs/NAME/` | datasets and trainings |
 //! | `probes/NAME.json` | the outcome of a finished probe |
+//! | `prices.json` | what the cures cost |
 //! | `pictures/NAME.png`, `NAME.svg` | its picture and its curve |
 //! | `stability.json`, `STABILITY.md` | the report over all of them |
 
@@ -69,7 +70,15 @@ impl Folder {
     /// # Errors
     /// `File` if it cannot be read.
     pub fn finished(&self, probe: &Probe) -> Result<Option<Finished>> {
-        let path = self.probe(probe);
+        self.optional(&format!("probes/{}.json", probe.name))
+    }
+
+    /// What a file of the folder holds, if it is there.
+    ///
+    /// # Errors
+    /// `File` if it cannot be read.
+    pub fn optional<T: for<'a> Deserialize<'a>>(&self, name: &str) -> Result<Option<T>> {
+        let path = self.root.join(name);
         if path.is_file() { read(&path).map(Some) } else { Ok(None) }
     }
 
@@ -88,7 +97,7 @@ impl Folder {
         {
             write_whole(&pictures.join(format!("{}.svg", probe.name)), figures::as_file(&svg).as_bytes())?;
         }
-        let path = self.probe(probe);
+        let path = self.root.join("probes").join(format!("{}.json", probe.name));
         made(path.parent())?;
         Ok(write_json(&path, finished)?)
     }
@@ -96,10 +105,6 @@ impl Folder {
     /// True where a file of the report is there.
     pub fn has(&self, name: &str) -> bool {
         self.root.join(name).is_file()
-    }
-
-    fn probe(&self, probe: &Probe) -> PathBuf {
-        self.root.join("probes").join(format!("{}.json", probe.name))
     }
 }
 

@@ -11,6 +11,7 @@
 
 mod folder;
 mod page;
+mod price;
 mod probe;
 mod suite;
 mod training;
@@ -18,6 +19,7 @@ mod workshop;
 
 pub use folder::Folder;
 pub use page::markdown;
+pub use price::Price;
 pub use probe::{Bound, Figure, Group, Outcome, Plot, Probe, Verdict};
 pub use suite::{Finished, Report, Row, run};
 pub use workshop::{Scale, Trained, Watch, Workshop};

@@ -1,6 +1,7 @@
 //! The report as Markdown.
 
 use super::folder::Folder;
+use super::price;
 use super::probe::{Figure, Group, Verdict};
 use super::suite::{Report, Row};
 
@@ -72,6 +73,9 @@ pub fn markdown(report: &Report, folder: &Folder) -> String {
             out += &format!("\n## {heading}\n");
         }
         rows.iter().for_each(|row| out += &section(row, folder));
+    }
+    if !report.prices.is_empty() {
+        out += &price::table(&report.prices);
     }
     out
 }

@@ -2,6 +2,7 @@
 
 use super::folder::Folder;
 use super::page;
+use super::price::{self, Price};
 use super::probe::{Figure, Group, Outcome, Probe, Verdict};
 use super::workshop::{Scale, Workshop};
 use crate::error::Result;
@@ -88,6 +89,8 @@ pub struct Report {
     pub scale: Scale,
     /// A row a finished probe.
     pub probes: Vec<Row>,
+    /// What the cures cost, once that is measured.
+    pub prices: Vec<Price>,
 }
 
 impl Report {
@@ -116,6 +119,9 @@ pub fn run(workshop: &mut Workshop, asked: &[Probe], all: &[Probe]) -> Result<Re
         workshop.say(&format!("[{}/{}] {}", k + 1, asked.len(), page::line(&row)));
         write(&folder, workshop.scale(), all)?;
     }
+    if asked.len() == all.len() {
+        price::prices(workshop)?;
+    }
     let mut report = write(&folder, workshop.scale(), all)?;
     report.probes.retain(|row| asked.iter().any(|probe| probe.name == row.probe));
     Ok(report)
@@ -142,7 +148,8 @@ fn write(folder: &Folder, scale: &Scale, all: &[Probe]) -> Result<Report> {
     for probe in all {
         probes.extend(folder.finished(probe)?.map(|found| row(probe, found)));
     }
-    let report = Report { scale: scale.clone(), probes };
+    let prices = folder.optional(price::JSON)?.unwrap_or_default();
+    let report = Report { scale: scale.clone(), probes, prices };
     write_json(&folder.root().join(JSON), &report)?;
     write_whole(&folder.root().join(MARKDOWN), page::markdown(&report, folder).as_bytes())?;
     Ok(report)

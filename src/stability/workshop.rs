@@ -374,6 +374,28 @@ pub fn errors(answer: &RgbImage, truth: &RgbImage) -> Errors {
     sum.errors()
 }
 
+/// `mse` of answering every query of a split with the mean of all: what a model that has learnt nothing reaches.
+///
+/// # Errors
+/// What reading meets.
+pub fn error_of_the_mean(data: &Dataset, split: SplitName) -> Result<f64> {
+    let split = data.split(split)?;
+    let (mut sums, mut squares, mut pixels) = ([0.0; 3], 0.0, 0.0);
+    for file in 0..split.files() {
+        for block in split.read_file(file)? {
+            for rgb in block.target() {
+                for (sum, value) in sums.iter_mut().zip(rgb) {
+                    let value = f64::from(value.clamp(0.0, 1.0));
+                    *sum += value;
+                    squares += value * value;
+                }
+                pixels += 1.0;
+            }
+        }
+    }
+    Ok((squares - sums.iter().map(|s| s * s / pixels).sum::<f64>()) / (3.0 * pixels))
+}
+
 /// Makes a folder.
 ///
 /// # Errors
