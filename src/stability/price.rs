@@ -28,7 +28,15 @@ struct Cure {
 }
 
 /// The cures of the probes.
-const CURES: [Cure; 9] = [
+const CURES: [Cure; 11] = [
+    Cure {
+        name: "last stage `l2-mean`, which keeps the mean (without: 4th roots to the end)",
+        taken: true,
+        set: &[
+            r#"train.stages=[{"share":1,"terms":[{"kind":"l2","remap":{"root4-signed":0.001},"weight":1},{"kind":"gradient","remap":{"root4-signed":0.001},"weight":0.03}]}]"#,
+        ],
+    },
+    Cure { name: "steps bounded by `train.clip` = 0.03", taken: true, set: &["train.clip=null"] },
     Cure {
         name: "signed root (without: guarded at 1e-7)",
         taken: true,

@@ -38,7 +38,7 @@ pub struct Progress {
     /// Lowest validation error of the stage, and validations since.
     stage_best: Option<f64>,
     stage_stale: usize,
-    /// Best validation of the run.
+    /// Best validation of the last stage that has any.
     pub best: Option<Point>,
     /// All validations.
     pub validations: Vec<Point>,
@@ -59,12 +59,14 @@ impl Progress {
         }
     }
 
-    /// Records a validation; true if it is the best so far.
+    /// Records a validation; true if it is the best so far. The first one of a later stage is, whatever came before: a
+    /// stage may keep the mean of noisy data where the one before it was nearer by `mse` and too dark.
     pub(super) fn add_validation(&mut self, errors: Errors, stages: &[Stage]) -> (Point, bool) {
         let point = Point { step: self.step, samples: self.samples, seconds: self.seconds, errors };
         self.validations.push(point);
         let mse = errors.mse;
-        let best = self.best.is_none_or(|b| mse < b.errors.mse);
+        let first_of_stage = self.stage > 0 && self.stage_best.is_none();
+        let best = first_of_stage || self.best.is_none_or(|b| mse < b.errors.mse);
         if best {
             self.best = Some(point);
         }
@@ -140,6 +142,19 @@ mod tests {
             seen.push(progress.stage);
         }
         assert_eq!((seen[23], seen[24], seen[73], seen[74], seen[99]), (0, 1, 1, 2, 2));
+    }
+
+    #[test]
+    fn a_later_stage_has_a_best_of_its_own() {
+        let stages = [stage(0.5, None), stage(0.5, None)];
+        let mut progress = Progress::default();
+        let mut best = Vec::new();
+        for value in [0.3, 0.2, 0.4, 0.35, 0.38] {
+            progress.fraction += 0.25;
+            best.push(progress.add_validation(errors(value), &stages).1);
+            progress.advance_stage(&stages);
+        }
+        assert_eq!(best, [true, true, true, true, false]);
     }
 
     #[test]
