@@ -1,7 +1,7 @@
 //! Levels that no texture has.
 
 use crate::error::Result;
-use crate::query::{QueryBuffer, Reflectance, RgbImage};
+use crate::query::{Reflectance, RgbImage};
 use crate::report::figures::Series;
 use crate::stability::places::{Places, farthest};
 use crate::stability::probe::{Bound, Group, Outcome, Plot, Probe};
