@@ -12,7 +12,7 @@ use crate::stability::probe::{Bound, Group, Outcome, Plot, Probe};
 use crate::stability::workshop::Workshop;
 use candle_core::Device;
 use neumip_export::checkpoint::{Checkpoint, FORMAT, Header, Measure};
-use neumip_export::config::{Architecture, texture_name};
+use neumip_export::config::{Architecture, DECODER_MLP, OFFSET_TEXTURE, bias_name, texture_name};
 use neumip_export::onnx;
 use std::path::Path;
 
@@ -22,8 +22,10 @@ const TILES: [[usize; 2]; 4] = [[31, 47], [47, 31], [33, 33], [100, 60]];
 const QUERIES: usize = 2048;
 /// What engines may differ by, times (1 + |value|): the project's tolerance of exact artefacts.
 const EXACT: f64 = 2e-5;
-/// Values of the textures: far apart, so that a wrong texel is seen.
-const SPREAD: f32 = 1.0;
+/// Values of the textures: far apart, so that a wrong texel is seen, and small enough that rounding of positions is not.
+const SPREAD: f32 = 0.3;
+/// Added to the luma that a random decoder gives: black answers would agree whatever they read.
+const LIGHT: f32 = 1.0;
 
 pub(super) fn probes() -> Vec<Probe> {
     vec![Probe {
@@ -45,9 +47,13 @@ fn random_material(resolution: [usize; 2]) -> Result<Checkpoint> {
     model.texture.init_std = SPREAD;
     let architecture = Architecture::new(model, resolution)?;
     let mut tensors = Variables::initial(&architecture, 1, &Device::Cpu)?.to_stored()?;
-    if let Some(offset) = tensors.get_mut(neumip_export::config::OFFSET_TEXTURE) {
+    if let Some(offset) = tensors.get_mut(OFFSET_TEXTURE) {
         let mut random = Random::new(2, Stream::Probe, 0);
         offset.data.iter_mut().for_each(|v| *v = random.normal());
+    }
+    let last = architecture.decoder_widths().map_or(0, |widths| widths.len().saturating_sub(2));
+    if let Some(bias) = tensors.get_mut(&bias_name(DECODER_MLP, last)) {
+        bias.data.iter_mut().take(1).for_each(|luma| *luma += LIGHT);
     }
     let header = Header {
         format: FORMAT,
@@ -172,5 +178,14 @@ mod tests {
         assert!(worst(&checkpoint) < EXACT, "{}", worst(&checkpoint));
         checkpoint.tensors.get_mut(&texture_name(1)).unwrap().data[0] += 1e-3;
         assert!(worst(&checkpoint) > EXACT);
+    }
+
+    #[test]
+    fn engines_that_differ_are_noticed_and_answers_are_not_black() {
+        let mut checkpoint = random_material(TILES[0]).unwrap();
+        let fused = FusedMaterial::from_checkpoint(&checkpoint).unwrap();
+        assert!(engines(&checkpoint, &fused).unwrap() < EXACT);
+        checkpoint.tensors.get_mut(&texture_name(0)).unwrap().data.iter_mut().for_each(|v| *v += 1e-2);
+        assert!(engines(&checkpoint, &fused).unwrap() > EXACT);
     }
 }
