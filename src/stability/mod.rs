@@ -10,7 +10,10 @@
 //! probe says why the method is safer than believed, and on the cured one, which has to hold it.
 
 mod folder;
+mod level;
 mod page;
+mod places;
+mod position;
 mod price;
 mod probe;
 mod suite;
@@ -28,7 +31,7 @@ use crate::error::{Error, Result};
 
 /// All probes, in the order of the report.
 pub fn probes() -> Vec<Probe> {
-    let groups = [training::probes()];
+    let groups = [training::probes(), position::probes(), level::probes()];
     groups.into_iter().flatten().collect()
 }
 

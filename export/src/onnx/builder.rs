@@ -209,9 +209,13 @@ impl Builder {
         self.node("Floor", name, &[a], &[])
     }
 
-    /// a - floor(a / period) * period.
+    /// a - floor(a / period) * period, of whole numbers.
     pub fn wrap(&mut self, name: &str, a: &Value, period: &Value) -> Value {
-        let ratio = self.node("Div", &format!("{name}.ratio"), &[a, period], &[]);
+        // Engines divide by multiplying with the reciprocal, and 47 times 1 / 47 is less than 1: from the middle between
+        // two whole numbers no rounding reaches the next turn.
+        let half = self.scalar(0.5);
+        let middle = self.add(&format!("{name}.middle"), a, &half);
+        let ratio = self.node("Div", &format!("{name}.ratio"), &[&middle, period], &[]);
         let turns = self.floor(&format!("{name}.turns"), &ratio);
         let whole = self.mul(&format!("{name}.whole"), &turns, period);
         self.sub(name, a, &whole)
