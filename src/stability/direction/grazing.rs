@@ -114,11 +114,18 @@ fn light(workshop: &mut Workshop) -> Result<Outcome> {
         y: "error's energy over the truth's".into(),
         series: vec![line("naive", relative(&without)), line("cured", relative(&with))],
     };
+    let [naive, cured] = [&without, &with].map(|squares| grazing(squares).relative());
+    let safe = (naive <= 1.0).then(|| {
+        "The disc's edge at 84.3 degrees and the horizon are 0.005 apart in the raw (x, y) that the decoder reads: there is \
+         hardly any way to extrapolate, and answers stay what they are at the edge."
+            .to_string()
+    });
     let values = [("mse, naive", grazing(&without).mse()), ("mse, cured", grazing(&with).mse())];
     Ok(Outcome {
         values: values.map(|(name, value)| (name.into(), value)).to_vec(),
         plot: Some(plot),
-        ..Outcome::new(grazing(&without).relative(), grazing(&with).relative())
+        safe,
+        ..Outcome::new(naive, cured)
     })
 }
 

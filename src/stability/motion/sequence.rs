@@ -23,6 +23,8 @@ pub(super) struct Moved {
     pub flicker: f64,
     /// Its standard error, from groups of pixels.
     pub error: f64,
+    /// Energy of the answers' change over the true change's.
+    pub own: f64,
 }
 
 impl Sequence {
@@ -57,17 +59,21 @@ impl Sequence {
     /// What the answerer reports.
     pub fn moved(&self, answerer: &dyn Reflectance) -> Result<Moved> {
         let mut all = Flicker::default();
-        let mut groups = vec![Flicker::default(); GROUPS];
+        let (mut half, mut groups) = (Flicker::default(), vec![Flicker::default(); GROUPS]);
         for (queries, [a, b]) in &self.frames {
             let answer = answerer.evaluate(queries)?;
             all.add(&answer.pixels, [&a.pixels, &b.pixels]);
+            let halved: Vec<[f32; 3]> = answer.pixels.iter().map(|p| p.map(|v| 0.5 * v.min(1.0))).collect();
+            half.add(&halved, [&a.pixels, &b.pixels]);
             for (k, group) in groups.iter_mut().enumerate() {
                 let [answer, a, b] = [&answer, a, b].map(|image| every(&image.pixels, k));
                 group.add(&answer, [&a, &b]);
             }
         }
         let values: Vec<f64> = groups.iter().filter_map(Flicker::value).collect();
-        Ok(Moved { flicker: all.value().unwrap_or(f64::NAN), error: standard_error(&values) })
+        let [flicker, halved] = [all, half].map(|flicker| flicker.value().unwrap_or(f64::NAN));
+        // 1 - 2 c k + s k^2 for answers times k: s from k = 1 and 1/2.
+        Ok(Moved { flicker, error: standard_error(&values), own: 2.0 * (flicker - 2.0 * halved + 1.0) })
     }
 
     /// The change between the first two frames around grey, `gain` times larger: the answerer's, then the reference's.
@@ -141,7 +147,10 @@ mod tests {
         for (slope, expected) in [(0.5, 0.0), (0.0, 1.0), (1.0, 1.0), (1.5, 4.0)] {
             let moved = sequence.moved(&Ramp(slope)).unwrap();
             assert!((moved.flicker - expected).abs() < 1e-4, "{slope}: {moved:?}");
-            assert!(moved.error < 1e-4);
+            assert!(
+                moved.error < 1e-4 && (moved.own - f64::from(2.0 * slope).powi(2)).abs() < 1e-3,
+                "{moved:?}"
+            );
         }
     }
 
