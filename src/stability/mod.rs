@@ -9,8 +9,10 @@
 //! A probe says what it provokes, and measures one figure twice: on the naive variant, which has to break the bound, or the
 //! probe says why the method is safer than believed, and on the cured one, which has to hold it.
 
+mod direction;
 mod folder;
 mod level;
+mod motion;
 mod page;
 mod places;
 mod position;
@@ -31,7 +33,8 @@ use crate::error::{Error, Result};
 
 /// All probes, in the order of the report.
 pub fn probes() -> Vec<Probe> {
-    let groups = [training::probes(), position::probes(), level::probes()];
+    let groups =
+        [training::probes(), position::probes(), level::probes(), direction::probes(), motion::probes()];
     groups.into_iter().flatten().collect()
 }
 
