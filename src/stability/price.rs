@@ -2,6 +2,7 @@
 
 use super::page::number;
 use super::probe::Figure;
+use super::training::ROOTS;
 use super::workshop::{Workshop, split_errors};
 use crate::dataset::SplitName;
 use crate::error::Result;
@@ -32,9 +33,7 @@ const CURES: [Cure; 11] = [
     Cure {
         name: "last stage `l2-mean`, which keeps the mean (without: 4th roots to the end)",
         taken: true,
-        set: &[
-            r#"train.stages=[{"share":1,"terms":[{"kind":"l2","remap":{"root4-signed":0.001},"weight":1},{"kind":"gradient","remap":{"root4-signed":0.001},"weight":0.03}]}]"#,
-        ],
+        set: &[ROOTS],
     },
     Cure { name: "steps bounded by `train.clip` = 0.03", taken: true, set: &["train.clip=null"] },
     Cure {

@@ -7,6 +7,8 @@ mod roots;
 mod sources;
 mod whole;
 
+pub use losses::ROOTS;
+
 use super::probe::Probe;
 
 /// The probes of training.

@@ -12,7 +12,9 @@ const FACTORS: [f64; 5] = [1.0, 2.0, 5.0, 20.0, 10.0];
 const PEAK: f64 = 0.006;
 /// What a high rate needs: no step moves a matrix by more than this share of its size.
 const CAREFUL: [&str; 1] = ["train.clip=0.03"];
-const CARELESS: [&str; 2] = ["train.learning_rate.warmup=0.0", CONSTANT];
+const CARELESS: [&str; 3] = ["train.clip=null", "train.learning_rate.warmup=0.0", CONSTANT];
+/// Five times the usual rate: too high for some seeds and not for others.
+const HIGH: &str = "train.learning_rate.peak=0.03";
 /// As many published trainings are: one rate to the end.
 const CONSTANT: &str = r#"train.learning_rate.decay={"kind":"constant"}"#;
 
@@ -36,12 +38,12 @@ pub(super) fn probes() -> Vec<Probe> {
             name: "seed-spread",
             group: Group::Training,
             provokes: "Where a seed decides more than a method, comparisons of methods are dice.",
-            naive: "the paper's structure and losses at a constant learning rate",
-            cured: "`improved`, whose rate falls along a cosine",
+            naive: "a constant rate of 0.03, five times that of `improved`, without bounds: the ReLUs of some seeds die",
+            cured: "`improved`",
             figure: "largest less least `mse` on the test split over their mean",
             bound: Bound {
-                most: 0.1,
-                reason: "what `docs/presets.md` calls a difference must be larger than this",
+                most: 0.15,
+                reason: "a seed may not look like another method; presets differ by more",
             },
             run: seeds,
         },
@@ -86,12 +88,13 @@ fn seeds(workshop: &mut Workshop) -> Result<Outcome> {
     let material = workshop.scale().glossy().to_string();
     let data = workshop.data(&material)?;
     let mut series = Vec::new();
-    for (name, preset, set) in [("paper", "paper", &[CONSTANT][..]), ("improved", "improved", &[])] {
+    let careless: Vec<&str> = CARELESS.into_iter().chain([HIGH]).collect();
+    for (name, set) in [("careless", &careless[..]), ("improved", &[])] {
         let mut points = Vec::new();
         for seed in 1..=workshop.scale().seeds {
             let seeded = format!("train.seed={seed}");
             let set: Vec<&str> = set.iter().copied().chain([seeded.as_str()]).collect();
-            let trained = workshop.train(&material, preset, &set)?;
+            let trained = workshop.train(&material, "improved", &set)?;
             let mse = split_errors(&trained.sound()?.material, &data, SplitName::Test)?.mse;
             points.push((seed as f64, mse));
         }
