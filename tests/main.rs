@@ -24,6 +24,7 @@ mod python_environment;
 mod reference;
 mod rendering;
 mod reproducing;
+mod stability;
 mod surfaces;
 mod training;
 mod viewer;

@@ -154,3 +154,62 @@ fn write(folder: &Folder, scale: &Scale, all: &[Probe]) -> Result<Report> {
     write_whole(&folder.root().join(MARKDOWN), page::markdown(&report, folder).as_bytes())?;
     Ok(report)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::probe::Bound;
+    use super::super::workshop::Watch;
+    use super::*;
+    use std::ops::ControlFlow;
+
+    struct Silent;
+
+    impl Watch for Silent {
+        fn say(&self, _: &str) {}
+
+        fn flow(&self) -> ControlFlow<()> {
+            ControlFlow::Continue(())
+        }
+    }
+
+    fn probe(name: &'static str, run: fn(&mut Workshop) -> Result<Outcome>) -> Probe {
+        Probe {
+            name,
+            group: Group::Numbers,
+            provokes: "nothing",
+            naive: "a",
+            cured: "b",
+            figure: "c",
+            bound: Bound { most: 1.0, reason: "d" },
+            run,
+        }
+    }
+
+    fn suite(root: &std::path::Path, probes: &[Probe]) -> Report {
+        let folder = Folder::open(root, &Scale::quick()).unwrap();
+        // Prices train; they are there.
+        write_json(&root.join(price::JSON), &Vec::<Price>::new()).unwrap();
+        run(&mut Workshop::new(Scale::quick(), folder, &Silent), probes, probes).unwrap()
+    }
+
+    #[test]
+    fn what_is_finished_is_kept_and_what_is_broken_is_named() {
+        let there = tempfile::tempdir().unwrap();
+        let root = there.path().join("suite");
+        let good = probe("good", |_| Ok(Outcome::new(f64::NAN, 0.5)));
+        let report = suite(&root, &[good]);
+        assert!(report.wrong().is_empty());
+        // Run again it would break its bound; it is not.
+        let again = probe("good", |_| Ok(Outcome::new(2.0, 3.0)));
+        let broken = probe("broken", |_| Ok(Outcome::new(2.0, 1.5)));
+        let idle = probe("idle", |_| Ok(Outcome::new(0.0, 0.0)));
+        let report = suite(&root, &[again, broken, idle]);
+        assert_eq!(report.wrong(), ["broken", "idle"]);
+        let page = std::fs::read_to_string(root.join(MARKDOWN)).unwrap();
+        assert!(page.contains("| [good](#good) | no number | 0.5 | 1 | cured |"), "{page}");
+        assert!(page.contains("BROKEN"));
+        let other = Scale { budget: 7, ..Scale::quick() };
+        assert!(Folder::open(&root, &other).unwrap_err().to_string().contains("another --out"));
+        assert!(Folder::open(there.path(), &other).is_err());
+    }
+}
