@@ -10,6 +10,7 @@
 //! probe says why the method is safer than believed, and on the cured one, which has to hold it.
 
 mod folder;
+pub mod own;
 mod page;
 mod probe;
 mod suite;
