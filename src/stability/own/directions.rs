@@ -86,8 +86,7 @@ fn arcs(subject: &Subject, light: bool) -> Result<Seen> {
     let ask =
         |random: &mut crate::random::Random, other: [f32; 2], u: [f32; 2], level: f32, to: &mut Questions| {
             let azimuth = std::f32::consts::TAU * random.uniform();
-            // Through the mirror direction for every second arc: gloss moves there.
-            let start = STEEPEST * (2.0 * random.uniform() - 1.0) - 0.5 * STEP * LENGTH as f32;
+                let start = STEEPEST * (2.0 * random.uniform() - 1.0) - 0.5 * STEP * LENGTH as f32;
             (0..LENGTH).for_each(|k| {
                 let moving = at((start + STEP * k as f32).clamp(-STEEPEST - 5.0, STEEPEST + 5.0), azimuth);
                 let pair =
@@ -128,7 +127,7 @@ fn arcs(subject: &Subject, light: bool) -> Result<Seen> {
         places.push(questions.place(worst_at, bends / steps));
     }
     let of_all = second / first.max(f64::MIN_POSITIVE);
-    let Some((arc, largest)) = worst(&ratios).first().copied() else { return Ok(Seen::default()) };
+    let Some((arc, largest)) = worst(&ratios).first().copied() else { return Ok(Seen::nothing()) };
     let rows = &answers[arc * LENGTH * positions..][..LENGTH * positions];
     let image = RgbImage { height: positions, width: LENGTH, pixels: rows.to_vec() };
     let smooth = super::pictures::cut(&image, [0, 0], LENGTH);

@@ -82,6 +82,13 @@ pub struct Seen {
     pub picture: Option<(String, Vec<u8>)>,
 }
 
+impl Seen {
+    /// Where there is nothing to compare.
+    pub fn nothing() -> Self {
+        Self { says: "the tile is too small to say".into(), ..Self::default() }
+    }
+}
+
 /// A judged figure.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Finding {

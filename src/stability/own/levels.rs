@@ -94,7 +94,7 @@ fn popping(subject: &Subject) -> Result<Seen> {
         PARTS as f64 * (largest / large[octave].max(FLAT * own).max(f64::MIN_POSITIVE)).sqrt()
     };
     let ratios: Vec<f64> = (0..subject.coarsest).map(ratio).collect();
-    let Some((octave, figure)) = worst(&ratios).first().copied() else { return Ok(Seen::default()) };
+    let Some((octave, figure)) = worst(&ratios).first().copied() else { return Ok(Seen::nothing()) };
     let places: Vec<_> = worst(&ratios)
         .iter()
         .map(|(octave, _)| questions.place(worst_step[*octave].1, worst_step[*octave].0.sqrt()))
@@ -158,7 +158,7 @@ fn means(subject: &Subject) -> Result<Seen> {
         return Ok(Seen { says: "the material is black".into(), ..Seen::default() });
     }
     let off: Vec<f64> = sums.iter().map(|sum| (sum / finest - 1.0).abs()).collect();
-    let Some((at, figure)) = worst(&off).first().copied() else { return Ok(Seen::default()) };
+    let Some((at, figure)) = worst(&off).first().copied() else { return Ok(Seen::nothing()) };
     let place = |k: usize| {
         let mut questions = Questions::default();
         questions.push([0.0, 0.0], worst_pair[k].1, levels[k] as f32);
@@ -225,7 +225,7 @@ fn consistency(subject: &Subject) -> Result<Seen> {
     }
     let ratios: Vec<f64> =
         apart.iter().zip(&shown).map(|(a, s)| if *s > 0.0 { a / s } else { 0.0 }).collect();
-    let Some((at, figure)) = worst(&ratios).first().copied() else { return Ok(Seen::default()) };
+    let Some((at, figure)) = worst(&ratios).first().copied() else { return Ok(Seen::nothing()) };
     let pair = worst_pair[at].1;
     let picture = match (halved(&subject.tile(pair, levels[at])?), levels.get(at + 1)) {
         (Some(fine), Some(next)) => {

@@ -98,7 +98,7 @@ fn albedo(subject: &Subject) -> Result<Seen> {
     let chosen: Vec<_> = worst(&first).iter().take(REPEATED).map(|(k, _)| views[*k]).collect();
     let again = albedos(subject, AGAIN, &chosen, FINER)?;
     let order = worst(&again);
-    let Some((k, figure)) = order.first().copied() else { return Ok(Seen::default()) };
+    let Some((k, figure)) = order.first().copied() else { return Ok(Seen::nothing()) };
     let place = |k: usize| Place {
         u: chosen[k].0,
         wi: [0.0; 2],

@@ -21,6 +21,8 @@ const LEAST_LINES: usize = 8;
 const WITHIN: [[f32; 2]; 5] = [[0.5, 0.0], [0.0, 0.5], [0.5, 0.5], [0.25, 0.0], [0.0, 0.25]];
 /// Its corners: the texel centres.
 const CORNERS: [[f32; 2]; 4] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]];
+/// Levels of fewer texels along a side have too few steps to tell what is usual.
+const LEAST_SIDE: usize = 4;
 /// Steps of less energy than this share of the answers' own are flat, and flat is smooth.
 const FLAT: f64 = 1e-5;
 /// Texels along a side of a picture, and pixels a texel.
@@ -148,6 +150,9 @@ fn between(subject: &Subject) -> Result<Seen> {
     let (mut ratios, mut places) = (Vec::new(), Vec::new());
     for level in 0..=subject.coarsest {
         let [height, width] = subject.grid(level);
+        if height.min(width) < LEAST_SIDE {
+            break;
+        }
         let mut questions = Questions::default();
         for (p, pair) in pairs.iter().enumerate() {
             for k in 0..cells {
@@ -180,7 +185,7 @@ fn between(subject: &Subject) -> Result<Seen> {
         ratios.push(residual / step.max(FLAT * own).max(f64::MIN_POSITIVE));
         places.push(questions.place(worst_cell.1 * per, worst_cell.0.sqrt()));
     }
-    let Some((level, figure)) = worst(&ratios).first().copied() else { return Ok(Seen::default()) };
+    let Some((level, figure)) = worst(&ratios).first().copied() else { return Ok(Seen::nothing()) };
     let place = places[level];
     let png = picture(subject, Pair { wi: place.wi, wo: place.wo }, level, place.u)?;
     let caption = format!(

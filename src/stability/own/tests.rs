@@ -16,7 +16,7 @@ impl Watch for Nobody {
 }
 
 const SIDE: f32 = 32.0;
-const COARSEST: usize = 4;
+const COARSEST: usize = 3;
 
 /// Answers to u, wi, wo and level within the tile and the levels, above the horizon.
 struct Formula<F>(F);
@@ -40,10 +40,10 @@ fn smooth(u: [f32; 2], wi: [f32; 2], _: [f32; 2], level: f32) -> f32 {
     let wave = |bands: f32, amplitude: f32| {
         // A box's mean of a sine.
         let width = level.exp2() / SIDE * bands * std::f32::consts::PI;
-        let faded = if width > 1e-4 { (width.sin() / width).max(0.0) } else { 1.0 };
+        let faded = if width > 1e-4 { width.sin() / width } else { 1.0 };
         amplitude * faded * faded * (TAU * bands * u[0]).sin() * (TAU * bands * u[1] + 0.3).sin()
     };
-    unit(wi)[2] / std::f32::consts::PI * (0.5 + wave(2.0, 0.2) + wave(3.0, 0.1))
+    unit(wi)[2] / std::f32::consts::PI * (0.5 + wave(1.0, 0.2) + wave(2.0, 0.1))
 }
 
 fn examined(material: &dyn Reflectance, names: &[&str]) -> Examination {
@@ -85,7 +85,7 @@ fn each_fault_is_found_by_its_check() {
     let alias = |u: [f32; 2]| 1.0 + 0.3 * ((TAU * SIDE * u[0] + 1.0).cos() - 1f32.cos());
     wrong(found("between-texels", |u, wi, wo, l| alias(u) * smooth(u, wi, wo, l)));
     wrong(found("popping", |u, wi, wo, l| smooth(u, wi, wo, l.round())));
-    wrong(found("level-means", |u, wi, wo, l| (1.0 - 0.05 * l) * smooth(u, wi, wo, l)));
+    wrong(found("level-means", |u, wi, wo, l| (1.0 - 0.08 * l) * smooth(u, wi, wo, l)));
     watch(found("level-pairs", |u, wi, wo, l| smooth([u[0] + 0.25 * l.floor(), u[1]], wi, wo, l)));
     let jitter = |w: [f32; 2]| 1.0 + 0.1 * (5e4 * w[0]).sin();
     wrong(found("light-arc", |u, wi, wo, l| jitter(wi) * smooth(u, wi, wo, l)));
@@ -133,7 +133,7 @@ struct Refusing;
 
 impl Reflectance for Refusing {
     fn evaluate(&self, q: &QueryBuffer) -> Result<RgbImage> {
-        if q.level.iter().any(|level| *level == 1e6) {
+        if q.level.iter().any(|level| *level >= 1e6) {
             return Err(Error::config("query", "the model's answer is not finite"));
         }
         Formula(smooth).evaluate(q)
@@ -145,7 +145,7 @@ fn one_refused_answer_is_found_among_many_and_other_checks_say_that_they_failed(
     let examination = examined(&Refusing, &["numbers", "range", "seam"]);
     let [numbers, range, seam] = &examination.findings[..] else { panic!("{examination:?}") };
     assert_eq!(numbers.verdict, Verdict::Wrong);
-    assert!(numbers.places.iter().all(|place| place.level == 1e6), "{:?}", numbers.places);
+    assert!(numbers.places.iter().all(|place| place.level >= 1e6), "{:?}", numbers.places);
     assert!(range.says.contains("not finite") && range.figure.is_none(), "{range:?}");
     assert_eq!(seam.verdict, Verdict::Fine);
     assert!(examination.conclusion().contains("should not ship"), "{}", examination.conclusion());

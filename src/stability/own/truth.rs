@@ -228,7 +228,7 @@ impl Table {
             return Ok(Seen { says: "the data has no levels".into(), ..Seen::default() });
         };
         let over: Vec<f64> = errors.iter().map(|(_, e)| e / finest.max(1e-6)).collect();
-        let Some((at, figure)) = worst(&over).first().copied() else { return Ok(Seen::default()) };
+        let Some((at, figure)) = worst(&over).first().copied() else { return Ok(Seen::nothing()) };
         Ok(Seen {
             figure,
             says: format!(
