@@ -86,7 +86,7 @@ fn arcs(subject: &Subject, light: bool) -> Result<Seen> {
     let ask =
         |random: &mut crate::random::Random, other: [f32; 2], u: [f32; 2], level: f32, to: &mut Questions| {
             let azimuth = std::f32::consts::TAU * random.uniform();
-                let start = STEEPEST * (2.0 * random.uniform() - 1.0) - 0.5 * STEP * LENGTH as f32;
+            let start = STEEPEST * (2.0 * random.uniform() - 1.0) - 0.5 * STEP * LENGTH as f32;
             (0..LENGTH).for_each(|k| {
                 let moving = at((start + STEP * k as f32).clamp(-STEEPEST - 5.0, STEEPEST + 5.0), azimuth);
                 let pair =
@@ -147,6 +147,7 @@ fn arcs(subject: &Subject, light: bool) -> Result<Seen> {
         values: [("worst arc".to_string(), largest)].into(),
         places: worst(&ratios).iter().map(|(arc, _)| places[*arc]).collect(),
         picture: Some((format!("The worst arc: a row a position, the {name} moves to the right; its steps."), png)),
+        ..Seen::default()
     })
 }
 
@@ -230,5 +231,6 @@ fn glow(subject: &Subject) -> Result<Seen> {
         values: [("beyond 85 degrees".to_string(), grazing), ("elsewhere".to_string(), elsewhere)].into(),
         places,
         picture: None,
+        ..Seen::default()
     })
 }

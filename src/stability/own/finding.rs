@@ -80,12 +80,19 @@ pub struct Seen {
     pub places: Vec<Place>,
     /// A caption and a PNG file.
     pub picture: Option<(String, Vec<u8>)>,
+    /// Why there is nothing to judge, if so.
+    pub left_out: Option<&'static str>,
 }
 
 impl Seen {
+    /// Where there is nothing to judge, and why.
+    pub fn left_out(why: &'static str) -> Self {
+        Self { left_out: Some(why), ..Self::default() }
+    }
+
     /// Where there is nothing to compare.
     pub fn nothing() -> Self {
-        Self { says: "the tile is too small to say".into(), ..Self::default() }
+        Self::left_out("the tile is too small to say")
     }
 }
 

@@ -119,6 +119,7 @@ fn albedo(subject: &Subject) -> Result<Seen> {
         values: [("mean".to_string(), mean)].into(),
         places: order.iter().map(|(k, _)| place(*k)).collect(),
         picture: Some(("Answers over all lights (x to the right, y down) at the worst place.".into(), png)),
+        ..Seen::default()
     })
 }
 

@@ -103,6 +103,10 @@ pub fn check(subject: &Subject, names: &[String], watch: &dyn Watch) -> Result<E
             return Err(Error::Interrupted("nothing was written".into()));
         }
         let seen = (check.run)(subject);
+        if let Ok(Seen { left_out: Some(why), .. }) = seen {
+            examination.left_out.push(LeftOut { name: check.name, why });
+            continue;
+        }
         examination.findings.push(Finding::new(check.name, check.measures, check.bounds, seen)?);
     }
     Ok(examination)

@@ -85,7 +85,7 @@ fn each_fault_is_found_by_its_check() {
     let alias = |u: [f32; 2]| 1.0 + 0.3 * ((TAU * SIDE * u[0] + 1.0).cos() - 1f32.cos());
     wrong(found("between-texels", |u, wi, wo, l| alias(u) * smooth(u, wi, wo, l)));
     wrong(found("popping", |u, wi, wo, l| smooth(u, wi, wo, l.round())));
-    wrong(found("level-means", |u, wi, wo, l| (1.0 - 0.08 * l) * smooth(u, wi, wo, l)));
+    wrong(found("level-means", |u, wi, wo, l| (1.0 - 0.15 * l) * smooth(u, wi, wo, l)));
     watch(found("level-pairs", |u, wi, wo, l| smooth([u[0] + 0.25 * l.floor(), u[1]], wi, wo, l)));
     let jitter = |w: [f32; 2]| 1.0 + 0.1 * (5e4 * w[0]).sin();
     wrong(found("light-arc", |u, wi, wo, l| jitter(wi) * smooth(u, wi, wo, l)));
