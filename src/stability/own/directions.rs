@@ -130,11 +130,10 @@ fn arcs(subject: &Subject, light: bool) -> Result<Seen> {
     let Some((arc, largest)) = worst(&ratios).first().copied() else { return Ok(Seen::nothing()) };
     let rows = &answers[arc * LENGTH * positions..][..LENGTH * positions];
     let image = RgbImage { height: positions, width: LENGTH, pixels: rows.to_vec() };
-    let smooth = super::pictures::cut(&image, [0, 0], LENGTH);
-    let png = strip(&[
-        Panel::Light(&smooth),
-        Panel::Apart(&smooth, &super::pictures::cut(&smooth, [0, 1], LENGTH)),
-    ])?;
+    // One column less: the last one has no next.
+    let shown = super::pictures::cut(&image, [0, 0], LENGTH - 1);
+    let next = super::pictures::cut(&image, [0, 1], LENGTH - 1);
+    let png = strip(&[Panel::Light(&shown), Panel::Apart(&shown, &next)])?;
     let name = if light { "light" } else { "camera" };
     Ok(Seen {
         figure: of_all,

@@ -5,7 +5,7 @@ use crate::query::RgbImage;
 use crate::report::picture::{self, Picture};
 
 /// Height of a picture in pixels, about.
-const HEIGHT: usize = 160;
+const HEIGHT: usize = 128;
 /// Share of the values that a picture shows below white.
 const SHOWN: f64 = 0.99;
 

@@ -115,14 +115,14 @@ fn seam(subject: &Subject) -> Result<Seen> {
     let Some((k, figure)) = worst(&ratios).first().copied() else {
         return Ok(Seen::nothing());
     };
-    let (_, mean, level, side, axis, pair) = found[k];
-    let tile = subject.tile(pair, level)?;
-    let (rows, columns) = (tile.height / 2, tile.width / 2);
-    let rolled = cut(&tile, if axis == 0 { [0, columns] } else { [rows, 0] }, tile.height.max(tile.width));
-    let next = |image: &RgbImage| cut(image, if axis == 0 { [0, 1] } else { [1, 0] }, usize::MAX);
-    let png = strip(&[Panel::Light(&rolled), Panel::Apart(&rolled, &next(&rolled))])?;
+    let (_, mean, level, side_name, axis, pair) = found[k];
+    let beside = if axis == 0 { [0.0, 0.5] } else { [0.5, 0.0] };
+    let fine = around(subject, pair, level, beside, DENSER)?;
+    let side = fine.height - 1;
+    let (shown, next) = (cut(&fine, [0, 0], side), cut(&fine, if axis == 0 { [0, 1] } else { [1, 0] }, side));
+    let png = strip(&[Panel::Light(&shown), Panel::Apart(&shown, &next)])?;
     let caption = format!(
-        "Level {level}, rolled by half a tile so that the {side} border is in the middle; the steps between neighbouring texels."
+        "Level {level}, asked {DENSER} x denser, the {side_name} border in the middle; the steps between neighbours."
     );
     let mut at = Questions::default();
     at.push([0.0, 0.0], pair, level as f32);
@@ -130,7 +130,7 @@ fn seam(subject: &Subject) -> Result<Seen> {
         figure,
         says: if figure > 1.25 {
             format!(
-                "the tile has a seam along its {side} border at level {level}: {mean:.1} times the mean step inside, {figure:.1} times the largest"
+                "the tile has a seam along its {side_name} border at level {level}: {mean:.1} times the mean step inside, {figure:.1} times the largest"
             )
         } else {
             format!(
@@ -212,30 +212,34 @@ fn bilinear(corners: &[[f32; 3]], [x, y]: [f32; 2]) -> [f32; 3] {
     [0, 1, 2].map(|c| corners.iter().zip(weights).map(|(corner, w)| w * corner[c]).sum())
 }
 
-fn picture(subject: &Subject, pair: Pair, level: usize, centre: [f32; 2]) -> Result<Vec<u8>> {
+/// Answers of some texels around a position, so many times denser than texels, from a texel's centre on.
+fn around(subject: &Subject, pair: Pair, level: usize, centre: [f32; 2], denser: usize) -> Result<RgbImage> {
     let [height, width] = subject.grid(level);
     let across = SHOWN.min(height).min(width);
-    let first = [(centre[0] * width as f32) as i64, (centre[1] * height as f32) as i64]
-        .map(|c| c - across as i64 / 2);
-    let image = |denser: usize| -> Result<RgbImage> {
-        let side = across * denser;
-        let mut questions = Questions::default();
-        for k in 0..side * side {
-            let at = |axis: usize, index: usize, texels: usize| {
-                (first[axis] as f32 + 0.5 + index as f32 / denser as f32) / texels as f32
-            };
-            questions.push([at(0, k % side, width), at(1, k / side, height)], pair, level as f32);
-        }
-        Ok(RgbImage { height: side, width: side, pixels: subject.ask(questions)? })
-    };
+    let first = [(centre[0] * width as f32) as i64, (centre[1] * height as f32) as i64];
+    let first = first.map(|c| c - across as i64 / 2);
+    let side = across * denser;
+    let mut questions = Questions::default();
+    for k in 0..side * side {
+        let at = |axis: usize, index: usize, texels: usize| {
+            (first[axis] as f32 + 0.5 + index as f32 / denser as f32) / texels as f32
+        };
+        questions.push([at(0, k % side, width), at(1, k / side, height)], pair, level as f32);
+    }
+    Ok(RgbImage { height: side, width: side, pixels: subject.ask(questions)? })
+}
+
+fn picture(subject: &Subject, pair: Pair, level: usize, centre: [f32; 2]) -> Result<Vec<u8>> {
+    let image = |denser: usize| around(subject, pair, level, centre, denser);
     let (coarse, fine) = (image(1)?, image(DENSER)?);
     let mut smooth = fine.clone();
     for (k, pixel) in smooth.pixels.iter_mut().enumerate() {
         let [i, j] = [k / fine.width, k % fine.width];
         let part = cut(&coarse, [i / DENSER, j / DENSER], 2);
         // The last cell has no far corner in the picture.
-        let inner =
-            |at: usize| if at / DENSER + 1 < across { (at % DENSER) as f32 / DENSER as f32 } else { 0.0 };
+        let inner = |at: usize| {
+            if at / DENSER + 1 < coarse.width { (at % DENSER) as f32 / DENSER as f32 } else { 0.0 }
+        };
         *pixel = if part.pixels.len() == 4 {
             bilinear(&part.pixels, [inner(j), inner(i)])
         } else {
