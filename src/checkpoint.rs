@@ -6,6 +6,7 @@
 //! | `best.safetensors` | checkpoint with the lowest validation error |
 //! | `last-G.safetensors`, `last-G.state.safetensors` | newest checkpoint and optimiser state of generation (step) G |
 //! | `history.json` | losses and validation errors over the run |
+//! | `stability.json` | what the probes that need no training found on it |
 //!
 //! A checkpoint holds textures as queries read them; the state holds the variables themselves (unsmoothed) with Adam's
 //! moments. Every file is written to a sibling and renamed, the state after its checkpoint; the previous pair goes only when
@@ -26,6 +27,7 @@ const CHECKPOINT_SUFFIX: &str = ".safetensors";
 const RECORD: &str = "run.json";
 const BEST: &str = "best.safetensors";
 const HISTORY: &str = "history.json";
+const STABILITY: &str = "stability.json";
 /// Version of `run.json` and of the state file.
 const FORMAT: u32 = 1;
 
@@ -256,7 +258,7 @@ fn is_part(name: &str) -> bool {
 
 /// True for the names that a run's files have.
 fn is_ours(name: &str) -> bool {
-    [RECORD, BEST, HISTORY].contains(&name) || generation_of(name).is_some() || is_part(name)
+    [RECORD, BEST, HISTORY, STABILITY].contains(&name) || generation_of(name).is_some() || is_part(name)
 }
 
 /// Reads the checkpoint that a path means: a checkpoint file, or a run's folder.

@@ -627,7 +627,8 @@ fn force_replaces_what_it_names_and_nothing_else() {
             "last-000000004.safetensors",
             "last-000000004.state.safetensors",
             "notes.txt",
-            "run.json"
+            "run.json",
+            "stability.json"
         ]
     );
     assert_eq!(contents(&folder.join("bundle")).len(), contents(&folder.join("bundles/of/mine")).len());

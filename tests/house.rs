@@ -89,6 +89,8 @@ const FLOW: [(&str, &[&str]); 31] = [
             "onnx_material",
             "artefacts",
             "report",
+            // The tolerance that engines are held to.
+            "golden",
             "export",
         ],
     ),

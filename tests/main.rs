@@ -12,6 +12,7 @@ mod dataset;
 mod demo;
 mod engine;
 mod engines;
+mod examining;
 mod generating;
 mod house;
 mod inception;

@@ -40,7 +40,8 @@ fn the_quick_suite_holds() {
     let kept = suite.join("root-slope.json");
     let before = std::fs::metadata(&kept).unwrap().modified().unwrap();
     std::fs::remove_file(suite.join("root-dead-zone.json")).unwrap();
-    let again = ["stability", "--quick", "--out", "suite", "--probe", "root-slope", "--probe", "root-dead-zone"];
+    let again =
+        ["stability", "--quick", "--out", "suite", "--probe", "root-slope", "--probe", "root-dead-zone"];
     let output = neumip(&[&again[..], &["--json", "two.json"]].concat(), there.path());
     assert!(output.status.success() && suite.join("root-dead-zone.json").is_file());
     assert_eq!(std::fs::metadata(&kept).unwrap().modified().unwrap(), before);

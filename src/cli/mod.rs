@@ -58,7 +58,7 @@ enum Command {
     Render(render::Render),
     /// Ask the paper's questions again: tables, ablation, Inception decoder, speed against accuracy.
     Reproduce(reproduce::Reproduce),
-    /// Show known failures, their cures, and that the cures hold.
+    /// Examine a trained material, or show known failures, their cures, and that the cures hold.
     Stability(stability::Stability),
     /// Chart error against time and bytes over all results found.
     Chart(chart::Chart),

@@ -63,6 +63,9 @@ pub struct Train {
     /// Replace an existing run.
     #[arg(long)]
     force: bool,
+    /// Leave out the probes of the trained material at the end.
+    #[arg(long)]
+    no_stability: bool,
     /// Write progress and validations here.
     #[arg(long)]
     json: Option<PathBuf>,
@@ -83,6 +86,9 @@ impl Train {
             Trainer::new(self.config()?, &data, &self.out, self.force, self.memory, &device)?
         };
         train(&mut trainer, &format!("train {}", self.out.display()), console)?;
+        if !self.no_stability {
+            super::stability::after_training(&self.out, &self.data, &data, console);
+        }
         super::save_json(self.json.as_deref(), trainer.progress())
     }
 

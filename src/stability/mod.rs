@@ -13,6 +13,7 @@ mod direction;
 mod folder;
 mod level;
 mod motion;
+pub mod own;
 mod page;
 mod places;
 mod position;

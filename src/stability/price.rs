@@ -115,7 +115,7 @@ pub(super) fn prices(workshop: &mut Workshop) -> Result<Vec<Price>> {
     }
     let scale = workshop.scale();
     let mut materials = vec![scale.glossy().to_string()];
-    if scale.name == "full" {
+    if !scale.is_quick() {
         materials.push(scale.matte().to_string());
     }
     let mut prices = Vec::new();

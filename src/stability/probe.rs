@@ -1,6 +1,6 @@
 //! What a probe is and what it finds.
 
-use super::workshop::Workshop;
+use super::workshop::{Scale, Workshop};
 use crate::error::Result;
 use crate::report::figures::Series;
 use serde::{Deserialize, Serialize};
@@ -60,6 +60,20 @@ pub struct Bound {
     pub most: f64,
     /// Why this one.
     pub reason: &'static str,
+    /// Of the quick suite, where its short trainings cannot do as well.
+    pub quick: Option<f64>,
+}
+
+impl Bound {
+    /// A bound at every scale.
+    pub const fn new(most: f64, reason: &'static str) -> Self {
+        Self { most, reason, quick: None }
+    }
+
+    /// The bound at a scale.
+    pub fn at(self, scale: &Scale) -> f64 {
+        if scale.is_quick() { self.quick.unwrap_or(self.most) } else { self.most }
+    }
 }
 
 /// One known failure.

@@ -115,7 +115,7 @@ pub fn run(workshop: &mut Workshop, asked: &[Probe], all: &[Probe]) -> Result<Re
         let outcome = (probe.run)(workshop)?;
         let finished = Finished::new(&outcome, clock.elapsed().as_secs_f64());
         folder.save(probe, &outcome, &finished)?;
-        let row = row(probe, finished);
+        let row = row(probe, finished, workshop.scale());
         workshop.say(&format!("[{}/{}] {}", k + 1, asked.len(), page::line(&row)));
         write(&folder, workshop.scale(), all)?;
     }
@@ -127,15 +127,16 @@ pub fn run(workshop: &mut Workshop, asked: &[Probe], all: &[Probe]) -> Result<Re
     Ok(report)
 }
 
-fn row(probe: &Probe, found: Finished) -> Row {
-    let verdict = Verdict::of(found.naive, found.cured, probe.bound.most, found.safe.is_some());
+fn row(probe: &Probe, found: Finished, scale: &Scale) -> Row {
+    let bound = probe.bound.at(scale);
+    let verdict = Verdict::of(found.naive, found.cured, bound, found.safe.is_some());
     Row {
         probe: probe.name,
         group: probe.group,
         provokes: probe.provokes,
         variants: [probe.naive, probe.cured],
         figure: probe.figure,
-        bound: probe.bound.most,
+        bound,
         reason: probe.bound.reason,
         verdict,
         found,
@@ -146,7 +147,7 @@ fn row(probe: &Probe, found: Finished) -> Row {
 fn write(folder: &Folder, scale: &Scale, all: &[Probe]) -> Result<Report> {
     let mut probes = Vec::new();
     for probe in all {
-        probes.extend(folder.finished(probe)?.map(|found| row(probe, found)));
+        probes.extend(folder.finished(probe)?.map(|found| row(probe, found, scale)));
     }
     let prices = folder.optional(price::JSON)?.unwrap_or_default();
     let report = Report { scale: scale.clone(), probes, prices };
@@ -180,7 +181,7 @@ mod tests {
             naive: "a",
             cured: "b",
             figure: "c",
-            bound: Bound { most: 1.0, reason: "d" },
+            bound: Bound::new(1.0, "d"),
             run,
         }
     }

@@ -87,13 +87,17 @@ impl Scale {
             budget: 1200,
             batch: 8192,
             bounces: 1,
-            materials: crate::reference::builtin::NAMES.map(String::from).to_vec(),
+            materials: ["metal-rings", "rocks", "leather", "basket-cloth"].map(String::from).to_vec(),
             queries: 100_000_000,
             trainings: 100,
             seeds: 5,
-            frames: 9,
             ..Self::quick()
         }
+    }
+
+    /// True for the quick suite.
+    pub fn is_quick(&self) -> bool {
+        self.name == "quick"
     }
 
     /// Texels of a tile.

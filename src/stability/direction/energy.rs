@@ -35,10 +35,7 @@ pub(super) fn probes() -> Vec<Probe> {
         naive: "short training (a twentieth)",
         cured: "improved",
         figure: "largest albedo over positions and views, light integrated over the hemisphere",
-        bound: Bound {
-            most: 1.0 + MARGIN,
-            reason: "no surface gives back more than 1; a tenth for the integration",
-        },
+        bound: Bound::new(1.0 + MARGIN, "no surface gives back more than 1; a tenth for the integration"),
         run: energy,
     }]
 }

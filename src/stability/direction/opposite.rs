@@ -37,10 +37,10 @@ pub(super) fn probes() -> Vec<Probe> {
         naive: "gamma(wi), gamma(wo) with 4 octaves and nothing else (paper)",
         cured: "raw wi and wo",
         figure: "error of the difference between opposite lights, 85 to 89 degrees, over the true difference (squares)",
-        bound: Bound {
-            most: 0.75,
-            reason: "1 is what an answer has that does not tell them apart; a quarter has to be told",
-        },
+        bound: Bound::new(
+            0.75,
+            "1 is what an answer has that does not tell them apart; a quarter has to be told",
+        ),
         run: opposite,
     }]
 }

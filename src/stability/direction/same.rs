@@ -28,10 +28,7 @@ pub(super) fn probes() -> Vec<Probe> {
         naive: "Rusinkiewicz's coordinates (half and difference vector as angles)",
         cured: "raw wi and wo",
         figure: "largest change of the decoder's direction inputs over the change of wi, with light and view 3e-4 apart",
-        bound: Bound {
-            most: 10.0,
-            reason: "inputs that move ten times as fast as the light are a jump for the eye",
-        },
+        bound: Bound::new(10.0, "inputs that move ten times as fast as the light are a jump for the eye"),
         run: same,
     }]
 }

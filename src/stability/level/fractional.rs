@@ -23,10 +23,7 @@ pub(super) fn probes() -> Vec<Probe> {
         naive: "the level rounded at the query",
         cured: "linear between the two levels",
         figure: "mse at levels l + 0.5 over the mean mse at l and l + 1, worst l (cured: worst material too)",
-        bound: Bound {
-            most: 1.1,
-            reason: "between levels errors may be a tenth larger than at them, no more",
-        },
+        bound: Bound::new(1.1, "between levels errors may be a tenth larger than at them, no more"),
         run: fractional,
     }]
 }

@@ -27,7 +27,7 @@ pub(super) fn probes() -> Vec<Probe> {
         naive: "the level rounded at the query",
         cured: "linear between the two levels",
         figure: "largest step (rms) between pictures 1/8 level apart over the reference's own largest step, worst material",
-        bound: Bound { most: 1.5, reason: "half as much again as the true change is not seen as a jump" },
+        bound: Bound::new(1.5, "half as much again as the true change is not seen as a jump"),
         run: popping,
     }]
 }
@@ -78,7 +78,7 @@ fn zoom(workshop: &mut Workshop, material: &str) -> Result<[Vec<f64>; 3]> {
 
 fn popping(workshop: &mut Workshop) -> Result<Outcome> {
     let mut materials = workshop.scale().materials.clone();
-    if workshop.scale().name == "quick" {
+    if workshop.scale().is_quick() {
         materials.truncate(2);
     }
     let mut outcome = Outcome::new(0.0, 0.0);

@@ -24,10 +24,7 @@ pub(super) fn probes() -> Vec<Probe> {
         naive: "unclamped weights between the two first and the two last levels",
         cured: "the level clamped; one that is no number refused",
         figure: "largest difference of answers at level -3 from those at 0, and at 99 from those at the last level",
-        bound: Bound {
-            most: 0.0,
-            reason: "there is nothing finer or coarser to answer with: the same bytes",
-        },
+        bound: Bound::new(0.0, "there is nothing finer or coarser to answer with: the same bytes"),
         run: range,
     }]
 }

@@ -43,7 +43,7 @@ pub(super) fn probes() -> Vec<Probe> {
             naive: NAIVE,
             cured: CURED,
             figure: "mse half a texel off the grid over mse on the grid, mean of the levels, same directions (naive: matte; cured: worse material)",
-            bound: Bound { most: WORSE, reason: REASON },
+            bound: Bound::new(WORSE, REASON),
             run: half_texel,
         },
         Probe {
@@ -53,7 +53,7 @@ pub(super) fn probes() -> Vec<Probe> {
             naive: NAIVE,
             cured: CURED,
             figure: "mse on a grid four times as dense over mse on the grid, mean of levels 0 and 2 (naive: matte; cured: worse material)",
-            bound: Bound { most: WORSE, reason: REASON },
+            bound: Bound::new(WORSE, REASON),
             run: denser,
         },
     ]

@@ -33,10 +33,7 @@ pub(super) fn probes() -> Vec<Probe> {
         naive: "frequencies 2^k",
         cured: "frequencies 2^k pi, without u itself",
         figure: "rms jump of the answers over 1/32 texel at the tile's border over the largest such jump between columns inside",
-        bound: Bound {
-            most: MOST,
-            reason: "by chance the border may be the worst of all columns, but not by half",
-        },
+        bound: Bound::new(MOST, "by chance the border may be the worst of all columns, but not by half"),
         run: border,
     }]
 }

@@ -29,7 +29,7 @@ pub(super) fn probes() -> Vec<Probe> {
         naive: "gamma(u) by the formula, u as it comes",
         cured: "u wrapped to the tile before anything else",
         figure: "largest change of an answer at u + 1 and u + 10,000 against u, for u that f32 holds exactly",
-        bound: Bound { most: 0.0, reason: "the same position of the same tile: the same bytes" },
+        bound: Bound::new(0.0, "the same position of the same tile: the same bytes"),
         run: far,
     }]
 }

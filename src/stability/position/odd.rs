@@ -36,7 +36,7 @@ pub(super) fn probes() -> Vec<Probe> {
         naive: "the finest texel's index shifted right by the level",
         cured: "u times the level's own size, in candle, fused engine and ONNX",
         figure: "largest difference between the lookup at a texel's centre and the texel, or between two engines' answers",
-        bound: Bound { most: EXACT, reason: "the tolerance of exact artefacts" },
+        bound: Bound::new(EXACT, "the tolerance of exact artefacts"),
         run: odd,
     }]
 }

@@ -35,7 +35,7 @@ pub(super) fn probes() -> Vec<Probe> {
             naive: "4 octaves in place of wi and wo, as printed",
             cured: "the directions themselves, as in `improved`",
             figure: "`mse` on training data over that of octaves of amplitude 0.25 beside the directions",
-            bound: Bound { most: 1.1, reason: "an encoding may not cost more than seeds differ" },
+            bound: Bound::new(1.1, "an encoding may not cost more than seeds differ"),
             run: gloss,
         },
         Probe {
@@ -47,7 +47,7 @@ pub(super) fn probes() -> Vec<Probe> {
             cured: "the same on as many samples in scattered patches, each with a pair of its own",
             figure: "share of what training gains over answering with the mean that the octaves lose, `mse` on the validation \
                      split, whose directions are new, at the end of the run",
-            bound: Bound { most: 0.5, reason: "an encoding may cost something, not most of what is learnt" },
+            bound: Bound::new(0.5, "an encoding may cost something, not most of what is learnt"),
             run: few,
         },
     ]
@@ -103,7 +103,7 @@ fn course(workshop: &Workshop, progress: &Progress) -> Vec<(f64, f64)> {
 fn few(workshop: &mut Workshop) -> Result<Outcome> {
     let material = workshop.scale().glossy().to_string();
     let reference = workshop.reference(&material)?;
-    let quick = workshop.scale().name == "quick";
+    let quick = workshop.scale().is_quick();
     let octaves = gentle(1.0);
     let octaves: Vec<&str> = octaves.iter().map(String::as_str).collect();
     let (mut series, mut values) = (Vec::new(), Vec::new());

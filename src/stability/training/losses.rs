@@ -39,10 +39,10 @@ pub(super) fn probes() -> Vec<Probe> {
             naive: "weight 1, as printed",
             cured: "weight 0.03, as in `improved`",
             figure: "`mse` on the test split over that of the same training without the gradient term",
-            bound: Bound {
-                most: 1.03,
-                reason: "a term that is there to gain accuracy may not cost more than two seeds differ",
-            },
+            bound: Bound::new(
+                1.03,
+                "a term that is there to gain accuracy may not cost more than two seeds differ",
+            ),
             run: gradient_weight,
         },
         Probe {
@@ -53,10 +53,7 @@ pub(super) fn probes() -> Vec<Probe> {
             naive: "L1",
             cured: "`improved`, whose last stage is `l2-mean`",
             figure: "relative error of the mean of all answers, trained on one exponential sample a query",
-            bound: Bound {
-                most: 0.02,
-                reason: "as for levels: two hundredths of the brightness are hardly seen",
-            },
+            bound: Bound::new(0.02, "as for levels: two hundredths of the brightness are hardly seen"),
             run: noisy_targets,
         },
         Probe {
@@ -67,7 +64,7 @@ pub(super) fn probes() -> Vec<Probe> {
             naive: "L2 of linear values",
             cured: "`improved` with targets clamped to 10 (`train.target_range`)",
             figure: "`mse` on clean test data over that of the same training on clean data",
-            bound: Bound { most: 2.0, reason: "one sample in 500 may cost something, not everything" },
+            bound: Bound::new(2.0, "one sample in 500 may cost something, not everything"),
             run: outliers,
         },
     ]
@@ -129,7 +126,7 @@ fn noisy_targets(workshop: &mut Workshop) -> Result<Outcome> {
     let clean = workshop.data(&material)?;
     let inner = workshop.reference(&material)?;
     let mut counts = vec![NOISIEST];
-    if workshop.scale().name == "full" {
+    if !workshop.scale().is_quick() {
         counts.extend(QUIETER);
     }
     let mut lines: Vec<Series> =

@@ -28,10 +28,7 @@ pub(super) fn probes() -> Vec<Probe> {
             cured: "the same rate with warm-up, cosine and `train.clip` = 0.03",
             figure: "share of what training gains over answering with the mean that is lost beside the usual rate, `mse` on the \
                      test split",
-            bound: Bound {
-                most: 0.5,
-                reason: "a wrong guess of the rate may cost accuracy, but not the training",
-            },
+            bound: Bound::new(0.5, "a wrong guess of the rate may cost accuracy, but not the training"),
             run: rates,
         },
         Probe {
@@ -41,10 +38,7 @@ pub(super) fn probes() -> Vec<Probe> {
             naive: "a constant rate of 0.03, five times that of `improved`, without bounds: the ReLUs of some seeds die",
             cured: "`improved`",
             figure: "largest less least `mse` on the test split over their mean",
-            bound: Bound {
-                most: 0.15,
-                reason: "a seed may not look like another method; presets differ by more",
-            },
+            bound: Bound::new(0.15, "a seed may not look like another method; presets differ by more"),
             run: seeds,
         },
     ]
@@ -56,7 +50,7 @@ fn rates(workshop: &mut Workshop) -> Result<Outcome> {
     let usual = workshop.train(&material, "improved", &[])?;
     let usual = split_errors(&usual.sound()?.material, &data, SplitName::Test)?.mse;
     let nothing = error_of_the_mean(&data, SplitName::Test)?;
-    let quick = workshop.scale().name == "quick";
+    let quick = workshop.scale().is_quick();
     let mut figures = [f64::NAN; 2];
     let mut series = Vec::new();
     let variants = [("careless", &CARELESS[..]), ("careful", &CAREFUL[..])];

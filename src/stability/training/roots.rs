@@ -35,7 +35,7 @@ pub(super) fn probes() -> Vec<Probe> {
             naive: "4th root as printed",
             cured: "signed root with epsilon 1e-3",
             figure: "share of predictions in -0.1 to 0.1 whose remapped value or slope is no number, or 1 if training diverges",
-            bound: Bound { most: 0.0, reason: "one such value ends a training" },
+            bound: Bound::new(0.0, "one such value ends a training"),
             run: below_zero,
         },
         Probe {
@@ -46,10 +46,7 @@ pub(super) fn probes() -> Vec<Probe> {
             naive: "4th root guarded at 1e-7 (authors' code)",
             cured: "signed root with epsilon 1e-3",
             figure: "steepest slope for predictions in -0.1 to 0.1",
-            bound: Bound {
-                most: STEEPEST,
-                reason: "a dark texel counts at most as much as a hundred bright ones",
-            },
+            bound: Bound::new(STEEPEST, "a dark texel counts at most as much as a hundred bright ones"),
             run: slope,
         },
         Probe {
@@ -59,7 +56,7 @@ pub(super) fn probes() -> Vec<Probe> {
             naive: "4th root guarded at 1e-7 (authors' code)",
             cured: "signed root with epsilon 1e-3",
             figure: "1 if a prediction of -0.01 whose target is 0.5 feels no pull, else 0",
-            bound: Bound { most: 0.0, reason: "every wrong answer must be able to learn" },
+            bound: Bound::new(0.0, "every wrong answer must be able to learn"),
             run: dead_zone,
         },
     ]

@@ -31,7 +31,7 @@ pub(super) fn probes() -> Vec<Probe> {
             naive: "weights kept, moments begun anew",
             cured: "`neumip train --resume`",
             figure: "largest difference of a weight from those of the run that was not interrupted",
-            bound: Bound { most: 0.0, reason: "the same seed and inputs are the same bytes" },
+            bound: Bound::new(0.0, "the same seed and inputs are the same bytes"),
             run: interrupted,
         },
         Probe {
@@ -41,7 +41,7 @@ pub(super) fn probes() -> Vec<Probe> {
             naive: "it reaches the loss",
             cured: "generation refuses it and names u, wi, wo and the level; files with one are refused by name",
             figure: "share of the piece's gradients that are no number, or 1 if data with one are accepted",
-            bound: Bound { most: 0.0, reason: "one of them destroys every weight" },
+            bound: Bound::new(0.0, "one of them destroys every weight"),
             run: poisoned,
         },
     ]
