@@ -10,6 +10,8 @@
 //! probe says why the method is safer than believed, and on the cured one, which has to hold it.
 
 mod folder;
+mod inception;
+mod numbers;
 mod page;
 mod probe;
 mod suite;
@@ -26,7 +28,7 @@ use crate::error::{Error, Result};
 
 /// All probes, in the order of the report.
 pub fn probes() -> Vec<Probe> {
-    let groups = [training::probes()];
+    let groups = [training::probes(), numbers::probes(), inception::probes()];
     groups.into_iter().flatten().collect()
 }
 
