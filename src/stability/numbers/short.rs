@@ -180,10 +180,11 @@ fn as_printed(mut config: Config) -> Config {
 /// What matters of a configuration, in a line.
 fn described(index: u64, config: &Config) -> String {
     let Config { model, train } = config;
-    let terms = match &train.stages {
-        StagePlan::List(stages) => stages.iter().flat_map(|s| &s.terms),
-        StagePlan::Named(_) => [].iter().flat_map(|s: &Stage| &s.terms),
+    let stages: &[Stage] = match &train.stages {
+        StagePlan::List(stages) => stages,
+        StagePlan::Named(_) => &[],
     };
+    let terms = stages.iter().flat_map(|stage| &stage.terms);
     let terms: Vec<String> =
         terms.map(|t| format!("{:.2} {:?} of {:?}", t.weight, t.kind, t.remap)).collect();
     format!(
