@@ -99,7 +99,7 @@ impl<'a> Published<'a> {
             return [0.0; 3];
         }
         let model = &self.architecture.model;
-        let u = u.map(|x| round(if guarded { x - x.floor() } else { x }));
+        let u = u.map(|x| if guarded { round(round(x) - round(x).floor()) } else { round(x) });
         let (wi, wo) = (wi.map(round), wo.map(round));
         let level = round(match guarded {
             true => level.clamp(0.0, self.architecture.coarsest() as f32),
