@@ -11,8 +11,10 @@
 
 mod direction;
 mod folder;
+mod inception;
 mod level;
 mod motion;
+mod numbers;
 pub mod own;
 mod page;
 mod places;
@@ -34,8 +36,15 @@ use crate::error::{Error, Result};
 
 /// All probes, in the order of the report.
 pub fn probes() -> Vec<Probe> {
-    let groups =
-        [training::probes(), position::probes(), level::probes(), direction::probes(), motion::probes()];
+    let groups = [
+        training::probes(),
+        position::probes(),
+        level::probes(),
+        direction::probes(),
+        motion::probes(),
+        numbers::probes(),
+        inception::probes(),
+    ];
     groups.into_iter().flatten().collect()
 }
 

@@ -1,5 +1,6 @@
 //! What each cure costs on ordinary data: error, time of a query, time of a training. Nothing is free.
 
+use super::motion::CALM;
 use super::page::number;
 use super::probe::Figure;
 use super::training::ROOTS;
@@ -29,7 +30,18 @@ struct Cure {
 }
 
 /// The cures of the probes.
-const CURES: [Cure; 11] = [
+const CURES: [Cure; 14] = [
+    Cure {
+        name: "(x, y, z) of the directions (without: x, y)",
+        taken: true,
+        set: &["model.encoding.components=2"],
+    },
+    Cure {
+        name: "textures smoothed while training (without: as they are)",
+        taken: true,
+        set: &["train.smoothing=null", "train.blend=null"],
+    },
+    Cure { name: "calm textures, against flicker", taken: false, set: &CALM },
     Cure {
         name: "last stage `l2-mean`, which keeps the mean (without: 4th roots to the end)",
         taken: true,

@@ -7,7 +7,7 @@ use crate::dataset::{Dataset, Existing, GenerateConfig, Source, SplitName, gener
 use crate::engine::FusedMaterial;
 use crate::error::{Error, Result};
 use crate::evaluate::split_table;
-use crate::metrics::{ErrorSum, Errors};
+use crate::metrics::Errors;
 use crate::query::{QueryBuffer, Reflectance, RgbImage};
 use crate::random::hash;
 use crate::reference::{Reference, ReferenceOptions, Sampling};
@@ -369,13 +369,6 @@ pub fn split_errors(material: &dyn Reflectance, data: &Dataset, split: SplitName
     let rows = split_table(material, data, split, u64::MAX, None)?;
     let all = rows.into_iter().find(|row| row.level.is_none());
     all.map(|row| row.errors).ok_or_else(|| Error::config(split.as_str(), "has no rows"))
-}
-
-/// Errors of answers.
-pub fn errors(answer: &RgbImage, truth: &RgbImage) -> Errors {
-    let mut sum = ErrorSum::default();
-    sum.add(&answer.pixels, &truth.pixels);
-    sum.errors()
 }
 
 /// `mse` of answering every query of a split with the mean of all: what a model that has learnt nothing reaches.

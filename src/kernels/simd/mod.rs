@@ -8,11 +8,14 @@
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+mod denormal;
 mod portable;
 #[cfg(test)]
 mod tests;
 #[cfg(target_arch = "x86_64")]
 mod x86;
+
+pub use denormal::flushing;
 
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};

@@ -24,7 +24,7 @@ const UNSMOOTHED: [&str; 2] = ["train.smoothing=null", "train.blend=null"];
 const CURED: &str = "improved without gamma(u), offset smoothed by 3 texels, half the learning rate";
 /// Less motion that is not there. A steep offset slides lookups by many texels within one; gamma(u) and fast steps leave
 /// noise in the textures that moves with the pixels.
-const CALM: [&str; 3] =
+pub const CALM: [&str; 3] =
     ["model.encoding.u.bands=0", "train.smoothing.offset_minimum=3", "train.learning_rate.peak=0.003"];
 /// What the three models are.
 const NAMES: [&str; 3] = ["naive", "improved", "cured"];

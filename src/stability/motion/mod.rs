@@ -3,6 +3,8 @@
 mod flicker;
 mod sequence;
 
+pub use flicker::CALM;
+
 use super::probe::Probe;
 
 /// The probes of motion.

@@ -41,7 +41,7 @@ pub(super) fn probes() -> Vec<Probe> {
             figure: "`mse` on the test split over that of the same training without the gradient term",
             bound: Bound::new(
                 1.03,
-                "a term that is there to gain accuracy may not cost more than two seeds differ",
+                "a term that is there to gain accuracy may not cost more than seeds differ",
             ),
             run: gradient_weight,
         },
