@@ -3,7 +3,7 @@
 use crate::engine::FusedMaterial;
 use crate::error::{Error, Result};
 use crate::kernels::encoding::{attenuation, footprint_sigma};
-use crate::query::{QueryBuffer, RgbImage};
+use crate::query::{QueryBuffer, RgbImage, unit};
 use neumip_export::checkpoint::Checkpoint;
 use neumip_export::config::{
     Architecture, DECODER_MLP, OutputSpace, OutputTransform, YUV_TO_RGB, bias_name, weight_name,
@@ -43,7 +43,7 @@ pub(super) fn answers(
     let architecture = material.architecture();
     let (encoding, output) = (&architecture.model.encoding, &architecture.model.output);
     let raw = |d: &neumip_export::config::DirectionEncoding| d.raw && d.bands == 0;
-    let plain = raw(&encoding.wi) && raw(&encoding.wo) && encoding.components == 2 && !encoding.u.raw;
+    let plain = raw(&encoding.wi) && raw(&encoding.wo) && !encoding.u.raw;
     let (Some(widths), true) = (architecture.decoder_widths(), plain && !output.mask) else {
         return Err(Error::config(
             "model",
@@ -65,8 +65,9 @@ pub(super) fn answers(
     for (k, features) in features.chunks_exact(channels).enumerate() {
         let mut x = features.to_vec();
         gamma(&mut x, architecture, queries.u[k], queries.level[k].clamp(0.0, coarsest));
-        x.extend(queries.wi[k]);
-        x.extend(queries.wo[k]);
+        for w in [queries.wi[k], queries.wo[k]] {
+            x.extend(&unit(w)[..encoding.components]);
+        }
         for (layer, (weight, bias)) in layers.iter().enumerate() {
             let row =
                 |(row, bias): (&[f32], &f32)| bias + row.iter().zip(&x).map(|(w, x)| w * x).sum::<f32>();
