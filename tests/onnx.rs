@@ -43,8 +43,8 @@ const MOST_LEFT: f64 = 0.65;
 /// export changes nothing unless it is chosen. Whoever changes the default on purpose puts the new values here.
 const DEFAULT_FILES: [(&str, &str); 4] = [
     ("decoder.onnx", "c114f90a48583deb816a7560ce25431a18d7f598886997633dc3b0a7185389f3"),
-    ("material.onnx", "9f4c20379f9f6651b1ef2ba2b53757b4d7599ad8e42c11849d5039cd50207d90"),
-    ("prepare.onnx", "06932d25005b03675e508dca9ba1a1e86274d0d8d5790aefd15a77de6ab36fba"),
+    ("material.onnx", "da4f2bcc9b5216129c4c9a5e1d22b12014326eed6062190e57bed232bf96c677"),
+    ("prepare.onnx", "859763f65f733561987a8e5416361dc21ac7a381ad278c645f3704e1a627236a"),
     ("evaluate.onnx", "01f4f0120331b6496761f3aa25a7061854d586a3e6d0f345a33ef8e1ebdb081d"),
 ];
 

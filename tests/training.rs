@@ -307,8 +307,8 @@ fn a_run_is_the_same_bytes_on_any_number_of_threads() {
 
 #[test]
 fn a_bounded_step_learns_at_a_rate_that_kills_an_unbounded_one() {
-    /// Held-out PSNR, dB: what the plain rate reaches is 23 to 29, a constant 12 to 16.
-    const LEARNED: f64 = 19.0;
+    /// Held-out PSNR, dB, between the 29.9 with the bound and the 24.8 without.
+    const LEARNED: f64 = 27.0;
     let folder = tempfile::tempdir().unwrap();
     let data = data(folder.path());
     let reached = |clip: Option<f64>, engine: EngineKind, steps: u64| {

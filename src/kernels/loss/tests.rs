@@ -279,6 +279,10 @@ fn each(mut check: impl FnMut(Case)) {
     for (side, patch) in SHAPES {
         for kind in KINDS {
             for remap in REMAPS {
+                // A configuration cannot ask for it: the weight is up to 35,000.
+                if kind == Kind::L2Mean && remap == Remap::Root4Guarded {
+                    continue;
+                }
                 check(Case::new(vec![Term { kind, remap, scale: 0.7 / (side * side) as f32 }], side, patch));
             }
         }

@@ -133,7 +133,7 @@ mod tests {
         assert!((largest(&found) - 0.3).abs() < 1e-6);
         // Noise of the two halves that has nothing in common.
         let (a, b) = (image([0.3, 0.1, 0.3, 0.1]), image([0.3, 0.3, 0.1, 0.1]));
-        assert_eq!(steps([[&dark; 2], [&a, &b]].into_iter()), [0.0]);
+        assert!(steps([[&dark; 2], [&a, &b]].into_iter())[0] < 1e-6);
         assert!(steps([[&dark; 2], [&a, &a]].into_iter())[0] > 0.09);
     }
 }

@@ -1,6 +1,5 @@
 //! candle, the fused kernels and the exported graph at extreme queries.
 
-use super::SAME;
 use super::published::{Habits, Published};
 use super::queries::adversarial;
 use crate::error::Result;

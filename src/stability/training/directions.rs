@@ -21,7 +21,7 @@ const AMPLITUDES: [f64; 4] = [0.1, 0.25, 0.5, 1.0];
 const GENTLE: f64 = 0.25;
 /// Pairs of directions of the probe and, in the full suite, of the curve.
 const FEW: usize = 90;
-const PAIRS: [usize; 3] = [30, 270, FEW];
+const PAIRS: [usize; 2] = [30, FEW];
 /// Training samples on which an error is measured.
 const SEEN: u64 = 100_000;
 
