@@ -155,7 +155,7 @@ mod tests {
         // Noise has no preferred place.
         let noise = image(&|i, j| (crate::random::hash((i * SIDE + j) as u64) % 1000) as f32 / 1000.0);
         assert!((noise.ratio() - 1.0).abs() < 0.1, "{}", noise.ratio());
-        let seams = image(&|i, j| if (i / PATCH + j / PATCH) % 2 == 0 { 0.5 } else { 0.0 });
+        let seams = image(&|i, j| if (i / PATCH + j / PATCH).is_multiple_of(2) { 0.5 } else { 0.0 });
         assert!((seams.across() - 1.5).abs() < ROUNDING && seams.mean(1) == 0.0);
     }
 }
