@@ -37,7 +37,7 @@ pub struct Stability {
     /// Small tiles and short trainings, a few minutes; a material in a second or two.
     #[arg(long, conflicts_with = "full")]
     quick: bool,
-    /// The sizes of the study, about an hour; a material in half a minute, which is what it is without --quick.
+    /// The sizes of the study, half an hour; a material in half a minute, which is what it is without --quick.
     #[arg(long)]
     full: bool,
     /// Run this probe alone; may be given several times.
@@ -77,7 +77,7 @@ impl Stability {
             (_, true) => Scale::full(),
             (true, _) => Scale::quick(),
             _ => {
-                let problem = "choose --quick (minutes) or --full (about an hour), or name a run to examine";
+                let problem = "choose --quick (minutes) or --full (half an hour), or name a run to examine";
                 return Err(Error::usage(problem));
             }
         };

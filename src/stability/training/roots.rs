@@ -91,7 +91,11 @@ fn below_zero(workshop: &mut Workshop) -> Result<Outcome> {
     };
     let (naive, problem) = figure(Remap::Root4Literal, &LITERAL)?;
     let (cured, _) = figure(Remap::Root4Signed(EPSILON), &[])?;
-    let notes = problem.map(|problem| format!("What the naive training says: {problem}"));
+    // Where the run is kept is of no use to a reader of the report.
+    let notes = problem.map(|problem| {
+        let cause = problem.split("; the last good state").next().unwrap_or_default();
+        format!("What the naive training says: {cause}")
+    });
     Ok(Outcome { notes: notes.into_iter().collect(), ..Outcome::new(naive, cured) })
 }
 
