@@ -16,6 +16,9 @@ const HEADINGS: [(Group, &str); 7] = [
     (Group::Inception, "Inception"),
 ];
 
+/// Figures that are read in a line; more are folded away.
+const MOST_VALUES: usize = 8;
+
 /// A row in a line of text.
 pub(super) fn line(row: &Row) -> String {
     format!(
@@ -92,7 +95,11 @@ fn section(row: &Row, folder: &Folder) -> String {
     found.notes.iter().for_each(|note| out += &format!("- {note}\n"));
     if !found.values.is_empty() {
         let values = found.values.iter().map(|(name, value)| format!("{name} {}", shown(*value)));
-        out += &format!("- Also: {}\n", values.collect::<Vec<_>>().join("; "));
+        let values = values.collect::<Vec<_>>().join("; ");
+        out += &match found.values.len() > MOST_VALUES {
+            true => format!("\n<details><summary>Other figures</summary>\n\n{values}\n\n</details>\n"),
+            false => format!("- Also: {values}\n"),
+        };
     }
     if found.curve && folder.has(&format!("pictures/{}.svg", row.probe)) {
         out += &format!("\n![{0}: curve](pictures/{0}.svg)\n", row.probe);
