@@ -32,9 +32,12 @@ pub fn means(checkpoint: Option<&Checkpoint>) -> String {
     let terms = checkpoint.map(|checkpoint| &checkpoint.header.provenance["train"]["stages"]);
     let stages = terms.and_then(Value::as_array).into_iter().flatten();
     let mut terms = stages.flat_map(|stage| stage["terms"].as_array().into_iter().flatten());
-    if terms.any(|term| term["kind"] == "l1") {
-        return "train with the losses of the preset improved (L2 in the domain of a root): L1 learns the median, which is darker \
-                than the mean where highlights are rare"
+    // Of a checkpoint that does not say how it was trained nothing is known.
+    let keeps_the_mean = terms.clone().next().is_none()
+        || terms.any(|term| term["kind"] == "l2-mean" || (term["kind"] == "l2" && term["remap"] == "linear"));
+    if !keeps_the_mean {
+        return "end the training with l2-mean, as the preset improved does: L1 learns the median and L2 of remapped values a mean \
+                of those, both darker than the mean where highlights are rare"
             .into();
     }
     "train longer, on more samples (neumip generate --samples)".into()

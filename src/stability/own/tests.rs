@@ -94,7 +94,7 @@ fn each_fault_is_found_by_its_check() {
     watch(found("opposite-lights", |u, wi, wo, l| sided(wi) * smooth(u, wi, wo, l)));
     let burning = |w: [f32; 2]| if unit(w)[2] < 0.05 { 1000.0 } else { 1.0 };
     wrong(found("grazing-glow", |u, wi, wo, l| burning(wo) * smooth(u, wi, wo, l)));
-    wrong(found("energy", |u, wi, wo, l| 3.5 * smooth(u, wi, wo, l)));
+    wrong(found("energy", |u, wi, wo, l| 7.0 * smooth(u, wi, wo, l)));
     watch(found("reciprocity", |u, wi, wo, l| smooth(u, wi, wo, l) * (4.0 * wo[0]).exp()));
     let rare = |u: [f32; 2]| u[0] < 0.001 && u[1] < 0.2;
     wrong(found("numbers", |u, wi, wo, l| if rare(u) { f32::NAN } else { smooth(u, wi, wo, l) }));
