@@ -143,8 +143,8 @@ fn energy(workshop: &mut Workshop) -> Result<Outcome> {
         Plot { x: "positions and views, by albedo, %".into(), y: "albedo".into(), series: series.collect() };
     let (naive, cured) = (largest(&lists[0].1), largest(&lists[1].1));
     let safe = (naive <= 1.0 + MARGIN).then(|| {
-        "A squared error in a root domain answers too little rather than too much where it is unsure, so that not even a \
-         short training gives back more than it gets."
+        "Training pulls answers towards what the surface gives back, and a short one answers too little. Single places may \
+         still make light: `neumip stability RUN` looks at more of them."
             .to_string()
     });
     Ok(Outcome { values, safe, plot: Some(plot), ..Outcome::new(naive, cured) })
