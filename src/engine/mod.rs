@@ -25,5 +25,6 @@ mod tile;
 pub use batch::{Batch, Loss, Sums};
 pub use material::{FusedMaterial, Prepared};
 pub use networks::Networks;
+pub(crate) use networks::inception_shape;
 pub use plan::{Order, Plan};
 pub use textures::{Table, Textures};

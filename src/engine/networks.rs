@@ -95,6 +95,18 @@ impl Networks {
     }
 }
 
+/// The shape of an Inception decoder's network.
+pub(crate) fn inception_shape(architecture: &Architecture, config: &InceptionConfig) -> Shape {
+    Shape {
+        inputs: architecture.decoder_inputs(),
+        width: config.width,
+        modules: config.modules,
+        paths: config.paths,
+        reduce: config.reduce,
+        outputs: architecture.decoder_outputs(),
+    }
+}
+
 fn convolutions(
     isa: Isa,
     architecture: &Architecture,
@@ -102,14 +114,7 @@ fn convolutions(
     values: Values,
     learned: Option<usize>,
 ) -> Result<Network> {
-    let shape = Shape {
-        inputs: architecture.decoder_inputs(),
-        width: config.width,
-        modules: config.modules,
-        paths: config.paths,
-        reduce: config.reduce,
-        outputs: architecture.decoder_outputs(),
-    };
+    let shape = inception_shape(architecture, config);
     let tensors = architecture.convolutions().into_iter().flat_map(|c| c.tensors());
     let tensors: Vec<Vec<f32>> = tensors.map(|(name, _)| values(&name)).collect::<Result<_>>()?;
     let weights: Vec<(&[f32], &[f32])> = tensors.chunks(2).map(|pair| (&pair[0][..], &pair[1][..])).collect();

@@ -23,6 +23,7 @@ mod price;
 mod probe;
 mod suite;
 mod training;
+mod variants;
 mod workshop;
 
 pub use folder::Folder;

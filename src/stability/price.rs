@@ -1,9 +1,8 @@
 //! What each cure costs on ordinary data: error and time of a query. Nothing is free.
 
-use super::motion::CALM;
 use super::page::number;
 use super::probe::Figure;
-use super::training::ROOTS;
+use super::variants::{CALM, CONSTANT, PRINTED, ROOTS, UNSMOOTHED};
 use super::workshop::{Workshop, split_errors};
 use crate::dataset::SplitName;
 use crate::error::Result;
@@ -36,11 +35,7 @@ const CURES: [Cure; 14] = [
         taken: true,
         set: &["model.encoding.components=2"],
     },
-    Cure {
-        name: "textures smoothed while training (without: as they are)",
-        taken: true,
-        set: &["train.smoothing=null", "train.blend=null"],
-    },
+    Cure { name: "textures smoothed while training (without: as they are)", taken: true, set: &UNSMOOTHED },
     Cure { name: "calm textures, against flicker", taken: false, set: &CALM },
     Cure {
         name: "last stage `l2-mean`, which keeps the mean (without: 4th roots to the end)",
@@ -63,16 +58,7 @@ const CURES: [Cure; 14] = [
         taken: true,
         set: &["model.encoding.u.attenuate=false", "model.encoding.u.limit_to_resolution=false"],
     },
-    Cure {
-        name: "directions themselves (without: gamma in their place)",
-        taken: true,
-        set: &[
-            "model.encoding.wi.bands=4",
-            "model.encoding.wi.raw=false",
-            "model.encoding.wo.bands=4",
-            "model.encoding.wo.raw=false",
-        ],
-    },
+    Cure { name: "directions themselves (without: gamma in their place)", taken: true, set: &PRINTED },
     Cure {
         name: "gamma of amplitude 0.25 beside the directions",
         taken: false,
@@ -88,11 +74,7 @@ const CURES: [Cure; 14] = [
         taken: true,
         set: &["train.learning_rate.warmup=0.0"],
     },
-    Cure {
-        name: "rate falling along a cosine (without: constant)",
-        taken: true,
-        set: &[r#"train.learning_rate.decay={"kind":"constant"}"#],
-    },
+    Cure { name: "rate falling along a cosine (without: constant)", taken: true, set: &[CONSTANT] },
     Cure { name: "every level counts in every step", taken: false, set: &["train.level_dropout=[]"] },
     Cure { name: "half the texture resolution", taken: false, set: &["model.texture.finest=1"] },
 ];

@@ -6,6 +6,7 @@ use crate::query::{QueryBuffer, Reflectance, RgbImage};
 use crate::report::figures::Series;
 use crate::report::picture::strip;
 use crate::stability::probe::{Bound, Group, Outcome, Plot, Probe};
+use crate::stability::variants::L1;
 use crate::stability::workshop::Workshop;
 
 /// Queries: the brightest hundredth of them are peaks.
@@ -16,8 +17,6 @@ const PEAKS: usize = 100;
 const SPP: usize = 64;
 /// Radius around the mirror direction in which the light is, in the projected disc.
 const AROUND: f32 = 0.2;
-/// L1 on linear values alone, as the paper's pixel loss.
-const L1: &str = r#"train.stages=[{"share":1.0,"terms":[{"kind":"l1","remap":"linear","weight":1.0}]}]"#;
 /// A third of the light.
 const THIRD: f64 = 0.35;
 /// Light and view of the picture.

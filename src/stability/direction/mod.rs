@@ -8,8 +8,6 @@ mod mirror;
 mod opposite;
 mod same;
 
-pub(super) use opposite::PRINTED;
-
 use super::probe::Probe;
 
 /// The probes of directions.

@@ -6,6 +6,7 @@ use crate::query::{QueryBuffer, Reflectance, RgbImage};
 use crate::report::figures::Series;
 use crate::report::picture::strip;
 use crate::stability::probe::{Bound, Group, Outcome, Plot, Probe};
+use crate::stability::variants::PRINTED;
 use crate::stability::workshop::Workshop;
 
 /// Queries of an angle.
@@ -18,13 +19,6 @@ const TILTS: [f32; 9] = [30.0, 50.0, 65.0, 75.0, 80.0, 82.5, 85.0, 87.0, 89.0];
 const GRAZING: [f32; 2] = [80.0, 82.5];
 /// Squared radius of the views: 45 degrees.
 const VIEWS: f32 = 0.5;
-/// gamma(wi) and gamma(wo) as printed.
-pub(in crate::stability) const PRINTED: [&str; 4] = [
-    "model.encoding.wi.bands=4",
-    "model.encoding.wi.raw=false",
-    "model.encoding.wo.bands=4",
-    "model.encoding.wo.raw=false",
-];
 /// Of the light of the picture.
 const SHOWN: f32 = 87.0;
 

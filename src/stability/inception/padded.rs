@@ -1,7 +1,8 @@
 //! The network on a rectangle as it comes, zeros around it: what a convolution does unless told otherwise.
 
+use crate::engine::inception_shape;
 use crate::error::{Error, Result};
-use crate::kernels::inception::{Border, Images, Network, Room, Shape};
+use crate::kernels::inception::{Border, Images, Network, Room};
 use crate::kernels::simd::Isa;
 use crate::model::decoder::Mlp;
 use crate::model::texture::{Sigmas, fetch};
@@ -29,14 +30,7 @@ impl Padded {
         let DecoderConfig::Inception(config) = &architecture.model.decoder else {
             return Err(Error::config("decoder.kind", "is not inception"));
         };
-        let shape = Shape {
-            inputs: architecture.decoder_inputs(),
-            width: config.width,
-            modules: config.modules,
-            paths: config.paths,
-            reduce: config.reduce,
-            outputs: architecture.decoder_outputs(),
-        };
+        let shape = inception_shape(&architecture, config);
         let mut weights: Vec<(&[f32], &[f32])> = Vec::new();
         for convolution in architecture.convolutions() {
             let [(weight, _), (bias, _)] = convolution.tensors();

@@ -5,18 +5,13 @@ use crate::query::Reflectance;
 use crate::report::figures::Series;
 use crate::stability::places::{Halves, Places, mean, texels};
 use crate::stability::probe::{Bound, Group, Outcome, Plot, Probe};
+use crate::stability::variants::{L1, ROOTS};
 use crate::stability::workshop::{Model, Workshop};
 
 /// Random directions and texels a level.
 const PLACES: usize = 32_768;
 /// Levels from here on are coarse: a picture of a surface far away is made of them.
 const COARSE: usize = 2;
-/// The published pixel loss alone.
-const NAIVE: &[&str] =
-    &[r#"train.stages=[{"share":1,"terms":[{"kind":"l1","remap":"linear","weight":1.0}]}]"#];
-/// `improved` without its last stage, which keeps the mean.
-const ROOTS: &[&str] = &[crate::stability::training::ROOTS];
-
 /// The models as they are shown.
 const NAMES: [&str; 3] = ["L1", "4th roots", "improved"];
 
@@ -60,8 +55,8 @@ fn worst(means: impl Iterator<Item = f64>) -> f64 {
 
 fn darkening(workshop: &mut Workshop) -> Result<Outcome> {
     let material = workshop.scale().glossy().to_string();
-    let naive = workshop.train(&material, "improved", NAIVE)?.sound()?.clone();
-    let roots = workshop.train(&material, "improved", ROOTS)?.sound()?.clone();
+    let naive = workshop.train(&material, "improved", &[L1])?.sound()?.clone();
+    let roots = workshop.train(&material, "improved", &[ROOTS])?.sound()?.clone();
     let cured = workshop.train(&material, "improved", &[])?.sound()?.clone();
     let means = means(workshop, &material, &[&naive, &roots, &cured])?;
     let figure = |of: usize| worst(means.iter().map(|(means, _)| means[of]));

@@ -6,8 +6,8 @@ use crate::error::Result;
 use crate::query::Reflectance;
 use crate::report::figures::Series;
 use crate::report::picture::strip;
-use crate::stability::direction::PRINTED;
 use crate::stability::probe::{Bound, Group, Outcome, Plot, Probe};
+use crate::stability::variants::{CALM, PRINTED, UNSMOOTHED};
 use crate::stability::workshop::Workshop;
 
 /// Degrees from frame to frame.
@@ -19,13 +19,7 @@ const GAIN: f32 = 2.0;
 
 const OCTAVES: &str = "gamma(wi), gamma(wo) with 4 octaves and nothing else (paper)";
 const STEEP: &str = "textures that were never smoothed";
-/// Neither smoothing of lookups nor blending of levels while training.
-const UNSMOOTHED: [&str; 2] = ["train.smoothing=null", "train.blend=null"];
 const CURED: &str = "improved without gamma(u), offset smoothed by 3 texels, half the learning rate";
-/// Less motion that is not there. A steep offset slides lookups by many texels within one; gamma(u) and fast steps leave
-/// noise in the textures that moves with the pixels.
-pub const CALM: [&str; 3] =
-    ["model.encoding.u.bands=0", "train.smoothing.offset_minimum=3", "train.learning_rate.peak=0.003"];
 /// What the three models are.
 const NAMES: [&str; 3] = ["naive", "improved", "cured"];
 const FIGURE: &str =

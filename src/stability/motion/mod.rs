@@ -3,8 +3,6 @@
 mod flicker;
 mod sequence;
 
-pub use flicker::CALM;
-
 use super::probe::Probe;
 
 /// The probes of motion.

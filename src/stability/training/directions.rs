@@ -5,16 +5,10 @@ use crate::error::Result;
 use crate::evaluate::split_table;
 use crate::report::figures::Series;
 use crate::stability::probe::{Bound, Group, Outcome, Plot, Probe};
+use crate::stability::variants::PRINTED;
 use crate::stability::workshop::{Model, Workshop, error_of_the_mean};
 use crate::trainer::Progress;
 
-/// gamma(wi), gamma(wo) with 4 octaves in place of the directions, as printed.
-const PRINTED: [&str; 4] = [
-    "model.encoding.wi.bands=4",
-    "model.encoding.wi.raw=false",
-    "model.encoding.wo.bands=4",
-    "model.encoding.wo.raw=false",
-];
 /// Amplitudes of the curve.
 const AMPLITUDES: [f64; 4] = [0.1, 0.25, 0.5, 1.0];
 /// The amplitude that cured early prototypes.

@@ -6,13 +6,11 @@ use crate::error::Result;
 use crate::query::Reflectance;
 use crate::report::figures::Series;
 use crate::stability::probe::{Bound, Group, Outcome, Plot, Probe};
+use crate::stability::variants::{L1, ROOTS};
 use crate::stability::workshop::{Workshop, split_errors};
 
 /// Losses as `--set train.stages=` takes them.
-const L1: &str = r#"train.stages=[{"share":1,"terms":[{"kind":"l1","remap":"linear","weight":1}]}]"#;
 const L2: &str = r#"train.stages=[{"share":1,"terms":[{"kind":"l2","remap":"linear","weight":1}]}]"#;
-/// `improved` without its last stage, which keeps the mean.
-pub const ROOTS: &str = r#"train.stages=[{"share":1,"terms":[{"kind":"l2","remap":{"root4-signed":0.001},"weight":1},{"kind":"gradient","remap":{"root4-signed":0.001},"weight":0.03}]}]"#;
 /// What bounds fireflies.
 const CLAMPED: &str = "train.target_range=[0,10]";
 /// Weights of the gradient term; the first is none, the last the printed one.

@@ -7,8 +7,6 @@ mod roots;
 mod sources;
 mod whole;
 
-pub use losses::ROOTS;
-
 use super::probe::Probe;
 
 /// The probes of training.

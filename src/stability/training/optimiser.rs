@@ -4,6 +4,7 @@ use crate::dataset::SplitName;
 use crate::error::Result;
 use crate::report::figures::Series;
 use crate::stability::probe::{Bound, Group, Outcome, Plot, Probe};
+use crate::stability::variants::CONSTANT;
 use crate::stability::workshop::{Workshop, error_of_the_mean, split_errors};
 
 /// Learning rates over that of `improved`; the quick suite takes the first and the last.
@@ -15,8 +16,6 @@ const CAREFUL: [&str; 1] = ["train.clip=0.03"];
 const CARELESS: [&str; 3] = ["train.clip=null", "train.learning_rate.warmup=0.0", CONSTANT];
 /// Five times the usual rate: too high for some seeds and not for others.
 const HIGH: &str = "train.learning_rate.peak=0.03";
-/// As many published trainings are: one rate to the end.
-const CONSTANT: &str = r#"train.learning_rate.decay={"kind":"constant"}"#;
 
 pub(super) fn probes() -> Vec<Probe> {
     vec![
