@@ -6,6 +6,7 @@ mod inception;
 
 pub use inception::{Convolution, DECODER, InceptionConfig};
 
+use crate::domain::Domain;
 use crate::error::{Error, Result};
 use crate::precision::Storage;
 use serde::{Deserialize, Serialize};
@@ -175,8 +176,11 @@ pub const YUV_TO_RGB: [[f32; 3]; 3] = [[1.0, 0.0, 1.13983], [1.0, -0.39465, -0.5
 pub struct Architecture {
     /// The configuration.
     pub model: ModelConfig,
-    /// Texels of the tile, \[height, width\].
+    /// Texels of the tile, \[height, width\]; of the window, where a domain has one.
     pub resolution: [usize; 2],
+    /// What the material was fitted for; absent: everything.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub domain: Option<Domain>,
 }
 
 /// Size of one pyramid level and where its rows start in the flattened table.
@@ -196,7 +200,7 @@ impl Architecture {
     /// # Errors
     /// `Config`, naming the field.
     pub fn new(model: ModelConfig, resolution: [usize; 2]) -> Result<Self> {
-        let this = Self { model, resolution };
+        let this = Self { model, resolution, domain: None };
         this.validate()?;
         Ok(this)
     }
@@ -248,8 +252,12 @@ impl Architecture {
             }
         }
         match &model.decoder {
-            DecoderConfig::Mlp { hidden } => check_hidden("decoder.hidden", hidden),
-            DecoderConfig::Inception(inception) => inception.validate(),
+            DecoderConfig::Mlp { hidden } => check_hidden("decoder.hidden", hidden)?,
+            DecoderConfig::Inception(inception) => inception.validate()?,
+        }
+        match &self.domain {
+            Some(domain) => domain.validate(self.resolution, self.coarsest()),
+            None => Ok(()),
         }
     }
 

@@ -12,6 +12,7 @@
 pub mod bundle;
 pub mod checkpoint;
 pub mod config;
+pub mod domain;
 mod error;
 pub mod golden;
 pub mod onnx;
@@ -28,6 +29,7 @@ pub mod whole_file;
 pub use bundle::{Bundle, BundleFile, Contents, read_bundle};
 pub use checkpoint::{Checkpoint, Header, Measure};
 pub use config::Architecture;
+pub use domain::{Cone, Domain, Outside};
 pub use error::{Error, Result};
 pub use golden::{Golden, SamplerGolden};
 pub use precision::{Precision, Rounding, Storage};

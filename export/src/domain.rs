@@ -1,0 +1,233 @@
+//! What a material was fitted for, and what it answers to everything else.
+//!
+//! A fitted material holds the levels that a scene asks, and where a scene shows a part of the tile, a window of it. Every
+//! query is first led to one that it was trained for ([`Architecture::fitted`]): levels are clamped to the fitted ones, and
+//! outside of the window the coarsest stored level answers, which was trained with the average of the whole tile.
+
+use crate::config::Architecture;
+use crate::error::{Error, Result};
+use serde::{Deserialize, Serialize};
+
+/// Longest name of a scene.
+const MAX_NAME: usize = 1024;
+
+/// What a material was fitted for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Domain {
+    /// What asked: the scene's name.
+    pub scene: String,
+    /// Texels \[H, W\] of the whole tile, which has u in \[0, 1)^2. The architecture's resolution is that of the window.
+    pub tile: [usize; 2],
+    /// First texel \[row, column\] of the window; it may lap the tile's border.
+    pub corner: [usize; 2],
+    /// Finest and coarsest level that was asked.
+    pub levels: [f32; 2],
+    /// Light directions that were asked.
+    pub wi: Cone,
+    /// View directions that were asked.
+    pub wo: Cone,
+    /// Share of the training data that is spread over everything else.
+    pub floor: f32,
+}
+
+/// Unit directions around an axis.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Cone {
+    /// The axis, of length 1.
+    pub axis: [f32; 3],
+    /// Least cosine to the axis.
+    pub cosine: f32,
+}
+
+/// In what a query is outside of a domain.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Outside {
+    /// Finer than the finest level.
+    pub finer: bool,
+    /// Coarser than the coarsest level.
+    pub coarser: bool,
+    /// Outside of the window.
+    pub position: bool,
+    /// Light from another direction.
+    pub wi: bool,
+    /// Seen from another direction.
+    pub wo: bool,
+}
+
+impl Outside {
+    /// True if it is outside in anything.
+    pub fn any(self) -> bool {
+        self.finer || self.coarser || self.position || self.wi || self.wo
+    }
+}
+
+impl Cone {
+    /// True if a stored direction (x, y) lies in it.
+    pub fn holds(&self, [x, y]: [f32; 2]) -> bool {
+        let z = (1.0 - x * x - y * y).max(0.0).sqrt();
+        let [a, b, c] = self.axis;
+        a * x + b * y + c * z >= self.cosine
+    }
+
+    fn validate(&self, field: &str) -> Result<()> {
+        /// An axis goes through a text.
+        const ROUNDING: f32 = 1e-3;
+        let length = self.axis.iter().map(|v| v * v).sum::<f32>().sqrt();
+        if !((length - 1.0).abs() < ROUNDING && (-1.0..=1.0).contains(&self.cosine)) {
+            return Err(Error::config(field, "needs an axis of length 1 and a cosine from -1 to 1"));
+        }
+        Ok(())
+    }
+}
+
+impl Domain {
+    /// Checks every bound; `resolution` and `coarsest` are the window's texels and coarsest stored level.
+    ///
+    /// # Errors
+    /// `Config`, naming the field.
+    pub fn validate(&self, resolution: [usize; 2], coarsest: usize) -> Result<()> {
+        for axis in 0..2 {
+            let (tile, corner, size) = (self.tile[axis], self.corner[axis], resolution[axis]);
+            if tile < size || tile > crate::config::MAX_RESOLUTION || corner >= tile {
+                let problem = format!("{size} texels from {corner} on are no part of a tile of {tile}");
+                return Err(Error::config(format!("domain.corner[{axis}]"), problem));
+            }
+        }
+        let [finest, last] = self.levels;
+        // The last level of a window is the average of the tile.
+        let most = coarsest - usize::from(self.is_window(resolution)).min(coarsest);
+        if !(0.0 <= finest && finest <= last && last <= most as f32) {
+            let problem = format!("{finest} to {last} is no range of levels from 0 to {most}");
+            return Err(Error::config("domain.levels", problem));
+        }
+        if self.is_window(resolution) && coarsest == 0 {
+            return Err(Error::config("domain.corner", "a window needs a level for the rest of the tile"));
+        }
+        if !(0.0..=1.0).contains(&self.floor) || self.scene.len() > MAX_NAME {
+            return Err(Error::config("domain", "floor is outside 0 to 1, or the scene's name too long"));
+        }
+        self.wi.validate("domain.wi")?;
+        self.wo.validate("domain.wo")
+    }
+
+    /// True if the textures hold a part of the tile only.
+    pub fn is_window(&self, resolution: [usize; 2]) -> bool {
+        resolution != self.tile
+    }
+
+    /// A position in the window's own coordinates: \[0, 1)^2 inside, up to tile / window outside.
+    pub fn local(&self, resolution: [usize; 2], u: [f32; 2]) -> [f32; 2] {
+        // u is (column, row).
+        [0, 1].map(|c| {
+            let (tile, corner, size) = (self.tile[1 - c], self.corner[1 - c], resolution[1 - c]);
+            let moved = u[c] - corner as f32 / tile as f32;
+            (moved - moved.floor()) * (tile as f32 / size as f32)
+        })
+    }
+}
+
+impl Architecture {
+    /// Texels \[H, W\] of the whole tile: those that a footprint's level counts.
+    pub fn tile(&self) -> [usize; 2] {
+        self.domain.as_ref().map_or(self.resolution, |domain| domain.tile)
+    }
+
+    /// The position and level that a fitted material answers in place of a query's; what was not fitted answers any.
+    pub fn fitted(&self, u: [f32; 2], level: f32) -> ([f32; 2], f32) {
+        let Some(domain) = &self.domain else { return (u, level) };
+        let local = domain.local(self.resolution, u);
+        if local.iter().all(|&v| v < 1.0) {
+            return (local, level.clamp(domain.levels[0], domain.levels[1]));
+        }
+        (local.map(|v| v - v.floor()), self.coarsest() as f32)
+    }
+
+    /// In what a query is outside of what the material was fitted for.
+    pub fn outside(&self, u: [f32; 2], wi: [f32; 2], wo: [f32; 2], level: f32) -> Outside {
+        /// Levels come from footprints in f32.
+        const ROUNDING: f32 = 1e-4;
+        let Some(domain) = &self.domain else { return Outside::default() };
+        let window = domain.is_window(self.resolution);
+        Outside {
+            finer: level < domain.levels[0] - ROUNDING,
+            coarser: level > domain.levels[1] + ROUNDING,
+            position: window && domain.local(self.resolution, u).iter().any(|&v| v >= 1.0),
+            wi: !domain.wi.holds(wi),
+            wo: !domain.wo.holds(wo),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::ModelConfig;
+
+    fn fitted() -> Architecture {
+        let model: ModelConfig = serde_json::from_str(
+            r#"{"texture": {"channels": 4, "init_std": 0.1}, "parallax": {"kind": "none"},
+                "encoding": {"pi": true, "components": 2,
+                    "u": {"bands": 0, "limit_to_resolution": true, "attenuate": true, "raw": false},
+                    "wi": {"bands": 0, "raw": true, "amplitude": 1.0}, "wo": {"bands": 0, "raw": true, "amplitude": 1.0}},
+                "decoder": {"kind": "mlp", "hidden": [8]},
+                "output": {"space": "rgb", "transform": "identity", "mask": false}}"#,
+        )
+        .unwrap();
+        let mut architecture = Architecture::new(model, [16, 32]).unwrap();
+        architecture.domain = Some(Domain {
+            scene: "near".into(),
+            tile: [64, 64],
+            corner: [56, 8],
+            levels: [0.0, 1.5],
+            wi: Cone { axis: [0.0, 0.0, 1.0], cosine: 0.5 },
+            wo: Cone { axis: [0.6, 0.0, 0.8], cosine: 0.9 },
+            floor: 0.1,
+        });
+        architecture
+    }
+
+    #[test]
+    fn a_window_that_laps_the_border_has_its_own_coordinates() {
+        let architecture = fitted();
+        architecture.validate().unwrap();
+        assert_eq!(architecture.tile(), [64, 64]);
+        // Column 8 of 64 and row 56 of 64 are the window's corner; row 0 of the next tile is its middle.
+        assert_eq!(architecture.fitted([0.125, 0.875], 0.5), ([0.0, 0.0], 0.5));
+        assert_eq!(architecture.fitted([0.375, 1.0], 3.0), ([0.5, 0.5], 1.5));
+        let (u, level) = architecture.fitted([0.125, 0.25], 0.0);
+        assert_eq!((u, level), ([0.0, 0.5], architecture.coarsest() as f32));
+    }
+
+    #[test]
+    fn queries_outside_are_known_by_what_they_leave() {
+        let architecture = fitted();
+        let inside = ([0.2, 0.9], [0.0, 0.0], [0.6, 0.0], 1.0);
+        let outside = |u, wi, wo, level| architecture.outside(u, wi, wo, level);
+        assert_eq!(outside(inside.0, inside.1, inside.2, inside.3), Outside::default());
+        assert!(outside([0.2, 0.5], inside.1, inside.2, 1.0).position);
+        assert!(outside(inside.0, [0.9, 0.0], inside.2, 1.0).wi);
+        assert!(outside(inside.0, inside.1, [-0.6, 0.0], 1.0).wo);
+        assert!(outside(inside.0, inside.1, inside.2, 1.6).coarser);
+        let mut later = architecture.clone();
+        if let Some(domain) = &mut later.domain {
+            domain.levels[0] = 1.0;
+        }
+        assert!(later.outside(inside.0, inside.1, inside.2, 0.5).finer);
+    }
+
+    #[test]
+    fn domains_that_cannot_be_are_refused() {
+        let refused = |change: &dyn Fn(&mut Domain)| {
+            let mut architecture = fitted();
+            change(architecture.domain.as_mut().unwrap());
+            architecture.validate().unwrap_err().to_string()
+        };
+        assert!(refused(&|d| d.tile = [8, 64]).contains("domain.corner[0]"));
+        assert!(refused(&|d| d.levels = [0.0, 3.0]).contains("domain.levels"));
+        assert!(refused(&|d| d.levels = [f32::NAN, 1.0]).contains("domain.levels"));
+        assert!(refused(&|d| d.wi.axis = [0.0; 3]).contains("domain.wi"));
+        assert!(refused(&|d| d.floor = 2.0).contains("floor"));
+    }
+}
