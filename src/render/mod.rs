@@ -7,7 +7,7 @@
 //!   │
 //! trace ─ rays and what they meet; directions ─ where to look for light
 //!   │
-//! asked ─ a query buffer for each material, and how its answers become radiance
+//! asked ─ a query buffer for each material, and how its answers become radiance      demand ─ a sample of all of them
 //!   │
 //! picture ─ a frame in batches      folder, frame_file, compare ─ what becomes of it
 //! ```
@@ -20,6 +20,7 @@ pub mod asked;
 pub mod builtin;
 pub mod camera;
 pub mod compare;
+pub mod demand;
 pub mod directions;
 pub mod environment;
 mod fitted;
@@ -37,6 +38,7 @@ pub mod trace;
 pub mod world;
 
 pub use asked::Asked;
+pub use demand::{Demand, Sample};
 pub use directions::{Cosine, Directions, Lobes, View};
 pub use fitted::directions_of;
 pub use format::SceneFile;

@@ -3,7 +3,9 @@
 use super::animation;
 use super::camera::Camera;
 use super::environment::Environment;
-use super::format::{DEFAULT_MATERIAL, FootprintSpec, LightSpec, MaterialSpec, Rgb, SceneFile, ShapeSpec};
+use super::format::{
+    DEFAULT_MATERIAL, FootprintSpec, LightSpec, MaterialSpec, PathSpec, Rgb, SceneFile, ShapeSpec,
+};
 use super::light::Lights;
 use super::material::{Engine, Material, hex};
 use super::sky;
@@ -123,7 +125,16 @@ impl Scene {
     /// # Errors
     /// None for a scene that was opened, whose frames are known to work.
     pub fn frame(&self, index: usize) -> Result<Frame> {
-        let file = animation::at(&self.file, index)?;
+        self.frame_at(index, self.frames())
+    }
+
+    /// What is to be seen at a frame of as many as are wanted on the same path; without a path it is always the same.
+    ///
+    /// # Errors
+    /// `Config` where a camera would stand in its target between the frames that are known to work.
+    pub fn frame_at(&self, index: usize, frames: usize) -> Result<Frame> {
+        let path = self.file.path.clone().map(|path| PathSpec { frames, ..path });
+        let file = animation::at(&SceneFile { path, ..self.file.clone() }, index)?;
         let samples = file.camera.samples;
         let share = match file.camera.footprint {
             FootprintSpec::Pixel => 1.0,
