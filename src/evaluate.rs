@@ -330,6 +330,14 @@ pub fn slice_cost(answerer: &dyn Reflectance, side: usize, rounds: usize) -> Res
     Ok(interleaved(&[answerer], &[&slice], rounds)?.remove(0))
 }
 
+/// Nanoseconds a query of several answerers on the same queries; see [`costs`].
+///
+/// # Errors
+/// Whatever keeps an answerer from answering.
+pub fn costs_on(answerers: &[&dyn Reflectance], queries: &QueryBuffer, rounds: usize) -> Result<Vec<Cost>> {
+    interleaved(answerers, &vec![queries; answerers.len()], rounds)
+}
+
 /// `asked` are the queries of each answerer.
 fn interleaved(answerers: &[&dyn Reflectance], asked: &[&QueryBuffer], rounds: usize) -> Result<Vec<Cost>> {
     let pool = ThreadPoolBuilder::new()

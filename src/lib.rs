@@ -44,6 +44,7 @@ pub mod dataset;
 pub mod engine;
 pub mod error;
 pub mod evaluate;
+pub mod fit;
 pub mod golden;
 pub mod inference;
 pub mod kernels;

@@ -58,14 +58,22 @@ impl Networks {
     /// # Errors
     /// Whatever candle refuses.
     pub fn forward(&self, inputs: &Inputs, tables: &Tables) -> Result<Tensor> {
+        let x = self.decoder_inputs(inputs, tables)?;
+        output::rgb(&self.decoder.forward(&x, inputs.images)?, &self.architecture.model.output)
+    }
+
+    /// What the decoder reads of N queries \[N, inputs\]: features first, then the encoding.
+    ///
+    /// # Errors
+    /// Whatever candle refuses.
+    pub fn decoder_inputs(&self, inputs: &Inputs, tables: &Tables) -> Result<Tensor> {
         let position =
             parallax::shifted(&self.architecture.model.parallax, self.offset.as_ref(), inputs, tables)?;
         let features = texture::fetch(&tables.pyramid, &position, &inputs.levels)?;
-        let x = match &inputs.encoding {
+        Ok(match &inputs.encoding {
             Some(encoding) => Tensor::cat(&[&features, encoding], 1)?,
             None => features,
-        };
-        output::rgb(&self.decoder.forward(&x, inputs.images)?, &self.architecture.model.output)
+        })
     }
 }
 

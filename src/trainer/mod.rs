@@ -22,9 +22,10 @@ use crate::model::texture::{Sigmas, smoothed};
 use crate::model::{Networks, Tables, Variables};
 use crate::random::{Random, Stream as RandomStream};
 use candle_core::Device;
-use neumip_export::Precision;
 use neumip_export::checkpoint::{Checkpoint, Header};
 use neumip_export::config::Architecture;
+use neumip_export::{Precision, Tensor as StoredTensor};
+use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Instant;
@@ -94,9 +95,38 @@ impl Trainer {
         memory: usize,
         device: &Device,
     ) -> Result<Self> {
-        config.train.validate()?;
         let architecture = Architecture::new(config.model.clone(), data.resolution())?;
         let variables = Variables::initial(&architecture, config.train.seed, device)?;
+        Self::begun(config, variables, data, (out, force), memory, device)
+    }
+
+    /// A new run that begins with the tensors of another model of the same architecture.
+    ///
+    /// # Errors
+    /// As [`Trainer::new`]; `Config` for a tensor that is missing or does not fit.
+    pub fn starting_from(
+        start: &BTreeMap<String, StoredTensor>,
+        config: Config,
+        data: &Dataset,
+        (out, force): (&Path, bool),
+        memory: usize,
+        device: &Device,
+    ) -> Result<Self> {
+        let architecture = Architecture::new(config.model.clone(), data.resolution())?;
+        let variables = Variables::from_stored(&architecture, start, device)?;
+        Self::begun(config, variables, data, (out, force), memory, device)
+    }
+
+    fn begun(
+        config: Config,
+        variables: Variables,
+        data: &Dataset,
+        (out, force): (&Path, bool),
+        memory: usize,
+        device: &Device,
+    ) -> Result<Self> {
+        config.train.validate()?;
+        let architecture = Architecture::new(config.model.clone(), data.resolution())?;
         let train = &config.train;
         let learner = Learner::new(&architecture, variables, train.adam, train.engine, device)?;
         let learner = learner.with_clip(train.clip);
@@ -408,7 +438,7 @@ impl Trainer {
     }
 
     fn save_last(&self) -> Result<()> {
-        let mut tensors = std::collections::BTreeMap::new();
+        let mut tensors = BTreeMap::new();
         let (first, second) = self.learner.moments();
         for (prefix, variables) in [("value", self.learner.variables()), ("first", first), ("second", second)]
         {
