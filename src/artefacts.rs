@@ -97,12 +97,17 @@ fn by_images(
     Ok(answers)
 }
 
+/// The decoder alone: whoever looks its features up has led their positions and levels too.
 fn by_decoder(folder: &Path, checkpoint: &Checkpoint, queries: &QueryBuffer) -> Result<Vec<[f32; 3]>> {
     let fused = FusedMaterial::from_checkpoint(checkpoint)?;
     let features = fused.features(&queries.u, &queries.level, &queries.wo)?;
     let channels = checkpoint.header.architecture.model.texture.channels;
     let mut inputs: Vec<Feed> = vec![("features", vec![queries.len(), channels], &features)];
-    inputs.extend(feeds(queries, None));
+    let mut led = queries.clone();
+    for (u, level) in led.u.iter_mut().zip(&mut led.level) {
+        (*u, *level) = checkpoint.header.architecture.fitted(*u, *level);
+    }
+    inputs.extend(feeds(&led, None));
     let graph = OnnxGraph::open(&folder.join(DECODER))?;
     let rgb = graph.run(&inputs, &[("rgb", with(queries, None, 3))])?;
     Ok(rgb.concat().as_chunks::<3>().0.to_vec())

@@ -8,7 +8,7 @@ use crate::random::{Random, Stream};
 use candle_core::Device;
 use neumip_export::checkpoint::Checkpoint;
 use neumip_export::config::Architecture;
-use neumip_export::{Golden, Rounding, Storage};
+use neumip_export::{Golden, Guide, Rounding, Storage};
 
 /// Largest |difference| / (1 + |value|) of a reader of the bundle: f32 networks summed in another order, on positions that
 /// an offset network moves by an ulp.
@@ -44,6 +44,67 @@ pub fn probes(n: usize, coarsest: usize, seed: u64) -> QueryBuffer {
         }
     }
     queries
+}
+
+/// Least distance of a probe to the border of a window, in tiles, where engines that round otherwise may answer otherwise.
+pub const BORDER: f32 = 1e-4;
+/// Positions that are tried before a probe is put into the tile [0, 1).
+const TRIES: u64 = 16;
+
+/// The probes of a material that answers queries one by one: [`probes`], and where it has a domain they are moved so that a
+/// third of them is outside of it, by position or by level, and none within [`BORDER`] of its window.
+pub fn queries(architecture: &Architecture, n: usize, seed: u64) -> QueryBuffer {
+    let (Some(domain), Some(guide)) = (&architecture.domain, architecture.guide()) else {
+        return probes(n, architecture.coarsest(), seed);
+    };
+    // Levels of the tile, not only those that are stored.
+    let last = architecture.tile()[0].min(architecture.tile()[1]).ilog2() as usize;
+    let mut queries = probes(n, last, seed);
+    let [finest, coarsest] = domain.levels;
+    // A window that leaves less than this has no room outside.
+    let room = |axis: &usize| guide.part[*axis] && 1.0 - 1.0 / guide.scale[*axis] > 4.0 * BORDER;
+    let apart = [0, 1].into_iter().find(room);
+    for k in 0..n {
+        let outside = apart.filter(|_| k % 6 == 0);
+        if guide.is_window() {
+            queries.u[k] = placed(&guide, queries.u[k], outside, [seed, k as u64]);
+        }
+        let share = (queries.level[k] / last as f32).clamp(0.0, 1.0);
+        queries.level[k] = match k % 3 == 0 {
+            // Any level.
+            true if outside.is_some() => queries.level[k],
+            true if k % 12 < 6 => finest - 1.0 - share,
+            true => coarsest + 0.5 + share * last as f32,
+            false => finest + share * (coarsest - finest),
+        };
+    }
+    queries
+}
+
+/// A position in the window, or outside of it along an axis, in the tile of `probe`.
+fn placed(guide: &Guide, probe: [f32; 2], outside: Option<usize>, [seed, k]: [u64; 2]) -> [f32; 2] {
+    let mut place = probe;
+    for attempt in 0..=TRIES {
+        let mut random = Random::sub_stream(seed, Stream::Probe, 2 + attempt, k);
+        let inside = [0, 1].map(|c| 1.0 / guide.scale[c]);
+        let mut share = [random.uniform(), random.uniform()];
+        // In the middle nothing is near a border.
+        if attempt == TRIES {
+            share = [0.5; 2];
+        }
+        for c in 0..2 {
+            let at = match outside {
+                Some(axis) if axis == c => inside[c] + (1.0 - inside[c]) * share[c],
+                _ => inside[c] * share[c],
+            };
+            let turns = if attempt == TRIES { 0.0 } else { probe[c].floor() };
+            place[c] = guide.corner[c] + at + turns;
+        }
+        if guide.border(place) >= BORDER && guide.is_inside(place) == outside.is_none() {
+            break;
+        }
+    }
+    place
 }
 
 /// Images of regular grids for a decoder that reads neighbours, \[N, H, W\]: whole tiles, from the finest level on that is no
@@ -97,7 +158,7 @@ pub fn answers(checkpoint: &Checkpoint, n: usize) -> Result<Golden> {
     let material = NeuralMaterial::from_checkpoint(checkpoint, &Device::Cpu)?;
     let architecture = &checkpoint.header.architecture;
     let (queries, images) = match architecture.neighbourhood() {
-        None => (probes(n, architecture.coarsest(), 1), None),
+        None => (queries(architecture, n, 1), None),
         Some(_) => {
             let (queries, images) = image_probes(architecture, n, 1);
             (queries, Some(images))

@@ -7,7 +7,7 @@ rgb [N, 3] and, for a decoder that reads neighbours, images [3]. The graphs have
 |difference| / (1 + |rgb|) of
 
     material   material.onnx in onnxruntime
-    decoder    decoder.onnx in onnxruntime, given the features that the reference looks up
+    decoder    decoder.onnx in onnxruntime, given the features that the reference looks up, where a domain led it
     steps      prepare.onnx and evaluate.onnx in onnxruntime, where the decoder does not read neighbours
     reference  the numpy reference, from model.safetensors alone
 """
@@ -27,7 +27,11 @@ def main(consumers, folder, queries):
     from reference_numpy import Material
 
     class Recording(Material):
-        """Keeps the features that it looked up."""
+        """Keeps the features that it looked up, and where a domain led it."""
+
+        def led(self, u, level):
+            self.place = super().led(u, level)
+            return self.place
 
         def features(self, u, level):
             self.looked_up = super().features(u, level)
@@ -50,7 +54,9 @@ def main(consumers, folder, queries):
     if images is None:
         prepared = bundle.prepare(*(queries[name] for name in ("u", "wo", "level")))
         answers["steps"] = bundle.light(prepared, queries["wi"])
-    feeds = as_fed(zip(("features", *INPUTS), (reference.looked_up, *inputs)), images)
+    place = dict(zip(("u", "level"), reference.place)) if reference.domain else {}
+    led = [place.get(name, queries[name]) for name in INPUTS]
+    feeds = as_fed(zip(("features", *INPUTS), (reference.looked_up, *led)), images)
     answers["decoder"] = decoder.run(["rgb"], feeds)[0].reshape(-1, 3)
 
     differences = {}

@@ -182,7 +182,7 @@ impl<'a> Contents<'a> {
             outputs: outputs.into_iter().map(GraphPort::from).collect(),
         };
         let rgb = || vec![onnx::output(layout)];
-        let inputs = onnx::decoder_inputs(layout, architecture.model.texture.channels);
+        let inputs = onnx::decoder_inputs(architecture);
         let mut graphs = vec![
             (file(DECODER, (inputs, rgb())), onnx::decoder_graph(checkpoint, options)?),
             (

@@ -256,6 +256,10 @@ impl Architecture {
             DecoderConfig::Inception(inception) => inception.validate()?,
         }
         match &self.domain {
+            Some(_) if self.neighbourhood().is_some() => {
+                let problem = "an inception decoder answers images of the whole tile, not queries that are led elsewhere";
+                Err(Error::config("domain", problem))
+            }
             Some(domain) => domain.validate(self.resolution, self.coarsest()),
             None => Ok(()),
         }

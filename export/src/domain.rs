@@ -71,6 +71,11 @@ impl Cone {
         a * x + b * y + c * z >= self.cosine
     }
 
+    fn explained(&self) -> String {
+        let [x, y, z] = self.axis;
+        format!("{:.0} degrees of ({x:.3}, {y:.3}, {z:.3})", self.cosine.clamp(-1.0, 1.0).acos().to_degrees())
+    }
+
     fn validate(&self, field: &str) -> Result<()> {
         /// An axis goes through a text.
         const ROUNDING: f32 = 1e-3;
@@ -105,6 +110,9 @@ impl Domain {
         if self.is_window(resolution) && coarsest == 0 {
             return Err(Error::config("domain.corner", "a window needs a level for the rest of the tile"));
         }
+        if !self.is_window(resolution) && self.corner != [0, 0] {
+            return Err(Error::config("domain.corner", "the whole tile begins at its own corner, [0, 0]"));
+        }
         if !(0.0..=1.0).contains(&self.floor) || self.scene.len() > MAX_NAME {
             return Err(Error::config("domain", "floor is outside 0 to 1, or the scene's name too long"));
         }
@@ -119,12 +127,102 @@ impl Domain {
 
     /// A position in the window's own coordinates: \[0, 1)^2 inside, up to tile / window outside.
     pub fn local(&self, resolution: [usize; 2], u: [f32; 2]) -> [f32; 2] {
-        // u is (column, row).
+        self.guide(resolution, 0).local(u)
+    }
+
+    /// What the material was fitted for and what it answers outside, in words, a line each.
+    pub fn explained(&self, resolution: [usize; 2], coarsest: usize) -> Vec<String> {
+        let Self { scene, tile: [height, width], corner: [row, column], levels: [finest, last], .. } = self;
+        let mut lines =
+            vec![format!("It was fitted for what the scene \"{scene}\" asks: levels {finest} to {last}.")];
+        if self.is_window(resolution) {
+            let [rows, columns] = resolution;
+            lines.push(format!(
+                "Its textures hold a window of the tile of {height} x {width} texels: {rows} rows from row {row} and {columns} \
+                 columns from column {column} on, over the tile's border if need be. Outside of it every answer is that of level \
+                 {coarsest}, which was trained with the average of the whole tile."
+            ));
+        }
+        lines.push(format!(
+            "Other levels are clamped. Lights within {} and views within {} were trained for; from other directions an answer \
+             may be far off, since only a share of {} of the training data was spread over everything else.",
+            self.wi.explained(),
+            self.wo.explained(),
+            self.floor
+        ));
+        lines
+    }
+
+    fn guide(&self, resolution: [usize; 2], coarsest: usize) -> Guide {
+        // Positions are (column, row), sizes (rows, columns).
+        let axes = [1, 0];
+        Guide {
+            corner: axes.map(|a| self.corner[a] as f32 / self.tile[a] as f32),
+            scale: axes.map(|a| self.tile[a] as f32 / resolution[a] as f32),
+            part: axes.map(|a| self.tile[a] != resolution[a]),
+            levels: self.levels,
+            outside: coarsest as f32,
+        }
+    }
+}
+
+/// A domain in the numbers by which queries are led to those that a material was fitted for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Guide {
+    /// The window's corner, in tiles.
+    pub corner: [f32; 2],
+    /// Windows in a tile.
+    pub scale: [f32; 2],
+    /// Along which axes the window is a part of the tile.
+    pub part: [bool; 2],
+    /// Finest and coarsest level that is answered in the window.
+    pub levels: [f32; 2],
+    /// The level that answers outside of it.
+    pub outside: f32,
+}
+
+impl Guide {
+    /// True if there is an outside.
+    pub fn is_window(&self) -> bool {
+        self.part != [false; 2]
+    }
+
+    fn local(&self, u: [f32; 2]) -> [f32; 2] {
         [0, 1].map(|c| {
-            let (tile, corner, size) = (self.tile[1 - c], self.corner[1 - c], resolution[1 - c]);
-            let moved = u[c] - corner as f32 / tile as f32;
-            (moved - moved.floor()) * (tile as f32 / size as f32)
+            let moved = u[c] - self.corner[c];
+            (moved - moved.floor()) * self.scale[c]
         })
+    }
+
+    /// True if a position in the window's coordinates is in the window. Along an axis that has all of the tile every one is,
+    /// even where rounding makes it 1.
+    fn holds(&self, local: [f32; 2]) -> bool {
+        (0..2).all(|c| !self.part[c] || local[c] < 1.0)
+    }
+
+    /// True if a position is in the window.
+    pub fn is_inside(&self, u: [f32; 2]) -> bool {
+        self.holds(self.local(u))
+    }
+
+    /// How far a position is from the nearest border of the window, along x or y, in tiles; infinite where there is none.
+    pub fn border(&self, u: [f32; 2]) -> f32 {
+        let local = self.local(u);
+        let axes = (0..2).filter(|&c| self.part[c]);
+        let apart =
+            axes.map(|c| local[c].min((local[c] - 1.0).abs()).min(self.scale[c] - local[c]) / self.scale[c]);
+        apart.fold(f32::INFINITY, f32::min)
+    }
+
+    /// The position and level that answer in place of a query's.
+    pub fn lead(&self, u: [f32; 2], level: f32) -> ([f32; 2], f32) {
+        let [finest, coarsest] = self.levels;
+        if !self.is_window() {
+            return (u, level.clamp(finest, coarsest));
+        }
+        let local = self.local(u);
+        let level = if self.holds(local) { level.clamp(finest, coarsest) } else { self.outside };
+        (local.map(|v| v - v.floor()), level)
     }
 }
 
@@ -134,26 +232,25 @@ impl Architecture {
         self.domain.as_ref().map_or(self.resolution, |domain| domain.tile)
     }
 
+    /// How queries are led to those that the material was fitted for; nothing for one that was not.
+    pub fn guide(&self) -> Option<Guide> {
+        self.domain.as_ref().map(|domain| domain.guide(self.resolution, self.coarsest()))
+    }
+
     /// The position and level that a fitted material answers in place of a query's; what was not fitted answers any.
     pub fn fitted(&self, u: [f32; 2], level: f32) -> ([f32; 2], f32) {
-        let Some(domain) = &self.domain else { return (u, level) };
-        let local = domain.local(self.resolution, u);
-        if local.iter().all(|&v| v < 1.0) {
-            return (local, level.clamp(domain.levels[0], domain.levels[1]));
-        }
-        (local.map(|v| v - v.floor()), self.coarsest() as f32)
+        self.guide().map_or((u, level), |guide| guide.lead(u, level))
     }
 
     /// In what a query is outside of what the material was fitted for.
     pub fn outside(&self, u: [f32; 2], wi: [f32; 2], wo: [f32; 2], level: f32) -> Outside {
         /// Levels come from footprints in f32.
         const ROUNDING: f32 = 1e-4;
-        let Some(domain) = &self.domain else { return Outside::default() };
-        let window = domain.is_window(self.resolution);
+        let (Some(domain), Some(guide)) = (&self.domain, self.guide()) else { return Outside::default() };
         Outside {
             finer: level < domain.levels[0] - ROUNDING,
             coarser: level > domain.levels[1] + ROUNDING,
-            position: window && domain.local(self.resolution, u).iter().any(|&v| v >= 1.0),
+            position: !guide.is_inside(u),
             wi: !domain.wi.holds(wi),
             wo: !domain.wo.holds(wo),
         }
@@ -201,6 +298,21 @@ mod tests {
     }
 
     #[test]
+    fn the_whole_tile_is_only_clamped_and_a_band_of_it_has_no_border_along_itself() {
+        let mut architecture = fitted();
+        let domain = architecture.domain.as_mut().unwrap();
+        (domain.tile, domain.corner) = ([16, 32], [0, 0]);
+        architecture.validate().unwrap();
+        assert_eq!(architecture.fitted([-7.3, 12.5], 9.0), ([-7.3, 12.5], 1.5));
+        // All columns, half of the rows: a position that rounding wraps to 1 is still inside.
+        let domain = architecture.domain.as_mut().unwrap();
+        (domain.tile, domain.corner) = ([32, 32], [8, 0]);
+        assert_eq!(architecture.fitted([-1e-9, 0.25], 0.5), ([0.0, 0.0], 0.5));
+        assert!(!architecture.outside([-1e-9, 0.25], [0.0, 0.0], [0.6, 0.0], 0.5).position);
+        assert!(architecture.outside([0.5, 0.2], [0.0, 0.0], [0.6, 0.0], 0.5).position);
+    }
+
+    #[test]
     fn queries_outside_are_known_by_what_they_leave() {
         let architecture = fitted();
         let inside = ([0.2, 0.9], [0.0, 0.0], [0.6, 0.0], 1.0);
@@ -229,5 +341,8 @@ mod tests {
         assert!(refused(&|d| d.levels = [f32::NAN, 1.0]).contains("domain.levels"));
         assert!(refused(&|d| d.wi.axis = [0.0; 3]).contains("domain.wi"));
         assert!(refused(&|d| d.floor = 2.0).contains("floor"));
+        assert!(refused(&|d| d.tile = [16, 32]).contains("domain.corner[0]"));
+        let whole = |d: &mut Domain| (d.tile, d.corner) = ([16, 32], [0, 1]);
+        assert!(refused(&whole).contains("its own corner"));
     }
 }

@@ -29,7 +29,7 @@ pub mod whole_file;
 pub use bundle::{Bundle, BundleFile, Contents, read_bundle};
 pub use checkpoint::{Checkpoint, Header, Measure};
 pub use config::Architecture;
-pub use domain::{Cone, Domain, Outside};
+pub use domain::{Cone, Domain, Guide, Outside};
 pub use error::{Error, Result};
 pub use golden::{Golden, SamplerGolden};
 pub use precision::{Precision, Rounding, Storage};

@@ -15,6 +15,12 @@ pub fn page(sidecar: &Sidecar) -> String {
         sidecar.material, sidecar.levels
     );
     files(&mut page, sidecar);
+    if let Some(domain) = &sidecar.domain {
+        page.push_str("\nFITTED FOR ONE SCENE\n");
+        for line in &domain.meaning {
+            paragraph(&mut page, "- ", line);
+        }
+    }
     page.push_str("\nCONVENTIONS\n");
     for line in &sidecar.conventions {
         paragraph(&mut page, "- ", line);

@@ -6,6 +6,7 @@ use crate::config::{
     Architecture, DecoderConfig, DirectionEncoding, InceptionConfig, OFFSET_TEXTURE, OutputSpace,
     OutputTransform, ParallaxConfig,
 };
+use crate::domain::{Domain, Guide};
 use crate::error::{Error, Result};
 use crate::onnx::{Opset, Port};
 use crate::precision::{Precision, Rounding, Storage};
@@ -32,10 +33,13 @@ pub struct Sidecar {
     pub measure: Measure,
     /// Lowest and highest height of the surface around the plane z = 0, in tile widths.
     pub height_range: [f32; 2],
-    /// Texels of the tile, \[height, width\].
+    /// Texels of the tile, \[height, width\]: those that a footprint's level counts.
     pub resolution: [usize; 2],
     /// Number of stored levels; queries are clamped to 0 .. finest + levels - 1.
     pub levels: usize,
+    /// What the material was fitted for; absent: everything.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub domain: Option<DomainEntry>,
     /// What the material costs.
     pub cost: Cost,
     /// How numbers are stored and what that costs; absent: as 32-bit floats, which costs nothing.
@@ -68,6 +72,18 @@ pub struct Sidecar {
     pub architecture: Architecture,
     /// Every other file of the bundle.
     pub files: Vec<BundleFile>,
+}
+
+/// What a material was fitted for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DomainEntry {
+    /// In words.
+    pub meaning: Vec<String>,
+    /// Texels \[height, width\] of the textures' finest level, before any was left out.
+    pub window: [usize; 2],
+    /// In numbers.
+    pub bounds: Domain,
 }
 
 /// Size and work of a material.
@@ -187,8 +203,13 @@ impl Sidecar {
             material: material.clone(),
             measure: *measure,
             height_range: *height_range,
-            resolution: architecture.resolution,
+            resolution: architecture.tile(),
             levels: architecture.levels(),
+            domain: architecture.domain.as_ref().map(|domain| DomainEntry {
+                meaning: domain.explained(architecture.resolution, architecture.coarsest()),
+                window: architecture.resolution,
+                bounds: domain.clone(),
+            }),
             cost: Cost {
                 flops_per_query: architecture.flops_per_query(),
                 network_weights: architecture.network_weights(),
@@ -327,7 +348,7 @@ fn steps(architecture: &Architecture) -> Vec<String> {
     let model = &architecture.model;
     let [height, width] = architecture.finest_size();
     let mut steps = vec![
-        format!("Wrap: u = u - floor(u). Clamp: level = min(max(level, 0), {}).", architecture.coarsest()),
+        place_step(architecture),
         match &model.parallax {
             ParallaxConfig::None {} => "No parallax: u' = u.".into(),
             ParallaxConfig::Offset(offset) => format!(
@@ -374,6 +395,28 @@ fn steps(architecture: &Architecture) -> Vec<String> {
     output += " Then max(x, 0); 0 where wi or wo is on or below the horizon.";
     steps.push(output);
     steps
+}
+
+/// The position and the level that answer.
+fn place_step(architecture: &Architecture) -> String {
+    let Some(guide) = architecture.guide() else {
+        return format!(
+            "Wrap: u = u - floor(u). Clamp: level = min(max(level, 0), {}).",
+            architecture.coarsest()
+        );
+    };
+    let Guide { corner: [x, y], scale: [sx, sy], part, levels: [finest, coarsest], outside } = guide;
+    let clamp = format!("level = min(max(level, {finest}), {coarsest})");
+    if !guide.is_window() {
+        return format!("Wrap: u = u - floor(u). Clamp: {clamp}.");
+    }
+    let inside = [("v.x < 1", part[0]), ("v.y < 1", part[1])];
+    let inside: Vec<&str> = inside.iter().filter(|(_, part)| *part).map(|(test, _)| *test).collect();
+    format!(
+        "Window, in 32-bit floats: p = u - ({x}, {y}); v = (p - floor(p)) ({sx}, {sy}); u = v - floor(v). Level: where {}, \
+         {clamp}; elsewhere level = {outside}.",
+        inside.join(" and ")
+    )
 }
 
 fn decoder_step(inception: &InceptionConfig) -> String {

@@ -8,6 +8,7 @@ use super::tile::{Queries, Tile, stride_of};
 use crate::error::{Error, Result};
 use crate::kernels::rows;
 use crate::kernels::simd::Isa;
+use crate::kernels::taps;
 use crate::query::grid::{self, Mosaic};
 use crate::query::{QueryBuffer, Reflectance, RgbImage, Support, above_horizon};
 use neumip_export::checkpoint::Checkpoint;
@@ -249,6 +250,14 @@ impl FusedMaterial {
             *to = from.clamp(0.0, coarsest);
         }
         level[end - start..].fill(0.0);
+        if let Some(guide) = self.plan.architecture.guide() {
+            let (x, y) = rows.u.split_at_mut(stride);
+            for (k, at) in (start..end).enumerate() {
+                let (place, led) = guide.lead(queries.u[at], queries.level[at]);
+                [x[k], y[k]] = taps::wrap(place);
+                rows.level[k] = led;
+            }
+        }
     }
 }
 

@@ -54,8 +54,12 @@ impl Inputs {
         let n = u.len();
         let [height, width] = architecture.finest_size();
         let coarsest = architecture.coarsest() as f32;
-        let wrapped: Vec<[f32; 2]> = u.iter().map(|&u| taps::wrap(u)).collect();
-        let level: Vec<f32> = level.iter().map(|l| l.clamp(0.0, coarsest)).collect();
+        let guide = architecture.guide();
+        let places = u.iter().zip(level).map(|(&u, &level)| {
+            let (u, level) = guide.map_or((u, level), |guide| guide.lead(u, level));
+            (taps::wrap(u), level.clamp(0.0, coarsest))
+        });
+        let (wrapped, level): (Vec<[f32; 2]>, Vec<f32>) = places.unzip();
 
         let (mut shift, mut offset_taps) = (None, None);
         if let ParallaxConfig::Offset(offset) = &architecture.model.parallax {

@@ -86,6 +86,7 @@ impl Material {
             return Err(Error::config(format!("materials.{name}"), problem));
         }
         let architecture = &checkpoint.header.architecture;
+        let [height, width] = architecture.tile();
         let Model { answers, directions, identity } = engine(&checkpoint, path)?;
         if answers.support() != Support::Pointwise {
             let problem = "its Inception decoder answers images of the whole tile, not the points that rays meet; \
@@ -94,12 +95,13 @@ impl Material {
         }
         Ok(Self {
             name: name.into(),
-            resolution: architecture.resolution,
-            coarsest: architecture.coarsest() as f32,
-            described: format!(
-                "{} at {} x {}",
-                checkpoint.header.material, architecture.resolution[1], architecture.resolution[0]
-            ),
+            resolution: [height, width],
+            // A fitted material clamps the levels itself, and is told which ones it was asked.
+            coarsest: match &architecture.domain {
+                Some(_) => full_levels([height, width]).max(architecture.coarsest() as f32),
+                None => architecture.coarsest() as f32,
+            },
+            described: format!("{} at {width} x {height}", checkpoint.header.material),
             identity: format!("{} {identity}", content(&checkpoint)?),
             notes: Vec::new(),
             directions,
@@ -132,7 +134,7 @@ impl Material {
         Ok(Self {
             name: name.into(),
             resolution: [height, width],
-            coarsest: height.min(width).max(2).ilog2() as f32 - 1.0,
+            coarsest: full_levels([height, width]),
             described: format!("reference {} at {width} x {height}, {spp} rays a query", reference.name()),
             identity: format!("reference {} {height} {width} {spp}", reference.fingerprint()),
             notes: reference.notes().iter().map(|note| format!("{}: {note}", reference.name())).collect(),
@@ -201,6 +203,11 @@ pub fn load(path: &Path) -> Result<Checkpoint> {
         return Ok(read_bundle(path)?.checkpoint);
     }
     checkpoint::load(path)
+}
+
+/// The coarsest level of a full pyramid.
+fn full_levels(resolution: [usize; 2]) -> f32 {
+    resolution[0].min(resolution[1]).max(2).ilog2() as f32 - 1.0
 }
 
 /// A hash of all that a checkpoint holds.

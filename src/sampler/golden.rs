@@ -4,7 +4,7 @@ use super::Part;
 use super::lobe::Lobes;
 use super::material::MaterialSampler;
 use crate::error::{Error, Result};
-use crate::golden::probes;
+use crate::golden::queries;
 use crate::query::above_horizon;
 use crate::random::{Random, Stream};
 use neumip_export::SamplerGolden;
@@ -36,7 +36,6 @@ pub fn golden(checkpoint: &Checkpoint, sampler: &Sampler, n: usize, seed: u64) -
         return Err(Error::config("golden.n", "at least one sample is needed"));
     }
     let sampler = MaterialSampler::from_checkpoint(checkpoint, sampler)?;
-    let coarsest = sampler.material().architecture().coarsest();
     let mut golden = SamplerGolden {
         tolerance: TOLERANCE,
         pdf_tolerance: PDF_TOLERANCE,
@@ -47,7 +46,7 @@ pub fn golden(checkpoint: &Checkpoint, sampler: &Sampler, n: usize, seed: u64) -
         wi: Vec::new(),
         pdf: Vec::new(),
     };
-    let queries = probes(n.saturating_mul(TRIES), coarsest, seed);
+    let queries = queries(sampler.material().architecture(), n.saturating_mul(TRIES), seed);
     for at in (0..queries.len()).step_by(n) {
         let part = queries.range(at, at + n);
         let outputs =

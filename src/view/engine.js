@@ -84,7 +84,8 @@ class Engine {
     this.smooth = gl.getExtension("OES_texture_float_linear") !== null;
     this.parallel = gl.getExtension("KHR_parallel_shader_compile");
     this.most = gl.getParameter(gl.MAX_UNIFORM_BLOCK_SIZE);
-    const side = Math.max(...data.resolution);
+    const finest = Object.values(data.numbers.textures).map((levels) => levels[0]);
+    const side = Math.max(...finest.flatMap(({ height, width }) => [height, width]));
     if (side > gl.getParameter(gl.MAX_TEXTURE_SIZE)) {
       throw new Error(`The material's ${side} texels are more than a texture of this device can have.`);
     }

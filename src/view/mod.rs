@@ -85,7 +85,7 @@ pub fn html(bundle: &Bundle, reference: Option<&Reference>) -> Result<String> {
     let (places, text) = numbers::pack(bundle, reference)?;
     let page = Page {
         name: &header.material,
-        resolution: architecture.resolution,
+        resolution: architecture.tile(),
         levels: architecture.levels(),
         coarsest: architecture.coarsest(),
         cosine: header.measure == Measure::RadianceCosine,

@@ -147,7 +147,8 @@ class Answerer:
     """A bundle's material. Directions are unit vectors of the local frame, wi to the light, wo to the viewer."""
 
     def __init__(self, bundle):
-        self.model, self.resolution = bundle.model, bundle.resolution
+        self.model, self.resolution, self.tile = bundle.model, bundle.resolution, bundle.tile
+        self.window, self.level_range = bundle.guide()
         self.finest, self.levels, self.coarsest = bundle.finest, bundle.levels, bundle.coarsest
         self.u_bands = bundle.u_bands()
         self.pyramid = Pyramid([bundle.tensors[f"texture.level{k}"] for k in range(self.levels)])
@@ -164,8 +165,7 @@ class Answerer:
 
     def prepare(self, u, wo, level):
         """Everything that does not depend on wi: u (x, y) in tiles, wo, level."""
-        u = [wrapped(single(x)) for x in u]
-        level = dr.clip(level, 0.0, float(self.coarsest))
+        u, level = self.led([single(x) for x in u], level)
         shifted = u
         if self.model["parallax"]["kind"] == "offset":
             parallax = self.model["parallax"]
@@ -184,6 +184,17 @@ class Answerer:
         sums = self.decoder.add(0, self.columns[1], self.encoded_u(u, level), sums)
         sums = self.decoder.add(0, self.columns[3], self.encoded_direction("wo", wo), sums)
         return Prepared(sums, features, wo)
+
+    def led(self, u, level):
+        """The position in [0, 1] and the level that answer: outside of a window of the tile the coarsest level does."""
+        level = dr.clip(level, *self.level_range)
+        if self.window is None:
+            return [wrapped(x) for x in u], level
+        # A position that is no number is in the window: it answers as elsewhere, at 0.
+        local = [single(wrapped(single(x - corner)) * scale) for x, corner, scale in zip(u, *self.window[:2])]
+        for x, part in zip(local, self.window[2]):
+            level = dr.select(x < 1.0, level, float(self.coarsest)) if part else level
+        return [wrapped(x) for x in local], level
 
     def evaluate(self, prepared, wi):
         """f cos(theta_i) as RGB; 0 where wi or wo is on or below the horizon."""

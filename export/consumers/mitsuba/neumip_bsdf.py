@@ -59,7 +59,7 @@ def register():
             self.m_flags = int(flags) | NEEDS_DIFFERENTIALS
 
         def footprint_level(self, si):
-            height, width = self.answerer.resolution
+            height, width = self.answerer.tile
             texels = height * width * abs(self.tiling[0] * self.tiling[1])
             area = dr.abs(si.duv_dx.x * si.duv_dy.y - si.duv_dx.y * si.duv_dy.x)
             if self.pixel_angle > 0.0:

@@ -28,8 +28,9 @@ class BundleError(ValueError):
 class Bundle:
     """A material's description, textures and networks.
 
-    `model` is the model's configuration, `resolution` [height, width] of the tile, `levels` the stored ones, `tensors` the
-    arrays of model.safetensors, `sampler` None or (configuration, arrays) of sampler.safetensors.
+    `model` is the model's configuration, `resolution` [height, width] of its textures, `levels` the stored ones, `tensors` the
+    arrays of model.safetensors, `sampler` None or (configuration, arrays) of sampler.safetensors. A material that was fitted
+    for a scene has a `domain`, else None; `tile` is [height, width] of the whole tile, of which its textures may be a window.
     """
 
     def __init__(self, folder):
@@ -40,6 +41,8 @@ class Bundle:
         with Naming(path):
             self.model = header["architecture"]["model"]
             self.resolution = [int(n) for n in header["architecture"]["resolution"]]
+            self.domain = header["architecture"].get("domain")
+            self.tile = [int(n) for n in self.domain["tile"]] if self.domain else self.resolution
             if header["measure"] != MEASURE:
                 raise BundleError(f"{path}: answers are `{header['measure']}`; this program reads `{MEASURE}`")
             if self.model["decoder"]["kind"] != "mlp":
@@ -56,6 +59,17 @@ class Bundle:
     def coarsest(self):
         """The largest level that is told apart."""
         return self.finest + self.levels - 1
+
+    def guide(self):
+        """How queries are led to those that were fitted: the window as its corner in tiles, windows in a tile and whether it
+        is a part of the tile, (x, y) each, or None where it is the whole tile; and the range of levels."""
+        if self.domain is None:
+            return None, (0.0, float(self.coarsest))
+        tile, corner, size = (np.float32(n[::-1]) for n in (self.tile, self.domain["corner"], self.resolution))
+        window = None
+        if self.tile != self.resolution:
+            window = [values.tolist() for values in (corner / tile, tile / size, tile != size)]
+        return window, tuple(np.float32(self.domain["levels"]).tolist())
 
     def network(self, prefix, tensors=None):
         """The (weight [out, in], bias [out]) of each layer."""

@@ -68,7 +68,7 @@ def shade(world, bundle, session, origin, light, tiling, seed):
         towards, irradiance = towards / distance[:, None], 1.0 / distance[:, None] ** 2
     x, y, z = frames(values)
     local = [np.concatenate([dot(w, a) for a in (x, y, z)], 1) for w in (towards, unit(np.array([origin]) - position))]
-    height, width = bundle.resolution
+    height, width = bundle.tile
     dx, dy = (values[name] * tiling for name in ("duv_dx", "duv_dy"))
     area = np.abs(dx[:, 0] * dy[:, 1] - dx[:, 1] * dy[:, 0]) * width * height
     level = 0.5 * np.log2(np.maximum(area, 1e-20))

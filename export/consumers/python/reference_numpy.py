@@ -44,6 +44,7 @@ class Material:
             raise ValueError(f"{path}: format {self.header['format']} is not known")
         self.model = self.header["architecture"]["model"]
         self.resolution = self.header["architecture"]["resolution"]
+        self.domain = self.header["architecture"].get("domain")
         self.tensors = {name: tensor.astype(np.float64) for name, tensor in tensors.items()}
         self.levels = sum(name.startswith("texture.level") for name in tensors)
         self.finest = self.model["texture"].get("finest", 0)
@@ -51,7 +52,7 @@ class Material:
     def evaluate(self, u, wi, wo, level, images=None):
         """Answers queries: [N, 2], [N, 2], [N, 2], [N] -> [N, 3]."""
         u, wi, wo, level = (np.asarray(a, np.float32) for a in (u, wi, wo, level))
-        u = u - np.floor(u)
+        u, level = self.led(u, level)
         level = np.clip(level.astype(np.float64), 0, self.finest + self.levels - 1)
         (wi, wi_z, wi_up), (wo, wo_z, wo_up) = direction(wi), direction(wo)
 
@@ -72,6 +73,21 @@ class Material:
             outputs = self.network("decoder.mlp", inputs)
         rgb = self.colour(outputs)
         return np.where(wi_up & wo_up, np.maximum(rgb, 0), 0)
+
+    def led(self, u, level):
+        """The position in [0, 1] and the level that answer in the place of a query's: a domain leads them to what was fitted."""
+        if self.domain is None:
+            return u - np.floor(u), level
+        clamped = np.clip(level, *np.float32(self.domain["levels"]))
+        # Sizes are (rows, columns), positions (column, row).
+        tile, corner, size = (np.float32(a[::-1]) for a in (self.domain["tile"], self.domain["corner"], self.resolution))
+        if (tile == size).all():
+            return u - np.floor(u), clamped
+        moved = u - corner / tile
+        windows = (moved - np.floor(moved)) * (tile / size)
+        inside = ((windows < 1) | (tile == size)).all(1)
+        coarsest = np.float32(self.finest + self.levels - 1)
+        return windows - np.floor(windows), np.where(inside, clamped, coarsest)
 
     def features(self, u, level):
         """Trilinear lookup of the pyramid."""

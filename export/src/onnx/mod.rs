@@ -142,11 +142,23 @@ pub fn material_inputs(layout: Layout) -> Vec<Port> {
     ]
 }
 
-/// Inputs of `decoder.onnx`, in order: features with `channels` columns, then those of `material.onnx`.
-pub fn decoder_inputs(layout: Layout, channels: usize) -> Vec<Port> {
+/// Inputs of `decoder.onnx`, in order: features, then those of `material.onnx`. The caller looks features up, so it has led
+/// the position and level of a fitted material before.
+pub fn decoder_inputs(architecture: &Architecture) -> Vec<Port> {
+    let layout = Layout::of(architecture);
     let meaning = "texture pyramid at the position after parallax, trilinear";
-    let mut inputs = vec![Port { name: "features", layout, columns: vec![channels], meaning }];
+    let columns = vec![architecture.model.texture.channels];
+    let mut inputs = vec![Port { name: "features", layout, columns, meaning }];
     inputs.extend(material_inputs(layout));
+    if architecture.domain.is_some() {
+        for port in &mut inputs {
+            port.meaning = match port.name {
+                "u" => "position that the first step of material.json gives, in windows",
+                "level" => "level that the first step of material.json gives",
+                _ => port.meaning,
+            };
+        }
+    }
     inputs
 }
 
@@ -164,12 +176,12 @@ pub fn decoder_graph(checkpoint: &Checkpoint, options: Options) -> Result<Vec<u8
     options.storage.check(checkpoint)?;
     let mut b = Builder::new("decoder", "neural material: decoder and its input encoding");
     let architecture = &checkpoint.header.architecture;
-    let ports = decoder_inputs(Layout::of(architecture), architecture.model.texture.channels);
+    let ports = decoder_inputs(architecture);
     let (inputs, shape) = declare(&mut b, &ports);
     let [features, u, wi, wo, level] = inputs.as_slice() else { unreachable!("five ports are declared") };
     let wi = Direction::new(&mut b, "wi", wi.clone());
     let wo = Direction::new(&mut b, "wo", wo.clone());
-    let (u, level) = (query::wrapped(&mut b, u), column(&mut b, checkpoint, level));
+    let (u, level) = (query::wrapped(&mut b, u), query::clamped(&mut b, level, architecture.coarsest()));
     let query = Query { u, level, wi, wo, shape };
     let u_is_read = checkpoint.header.architecture.u_inputs() > 0;
     answer(b, checkpoint, options, &query, features, (u_is_read, false))
@@ -188,7 +200,7 @@ pub fn material_graph(checkpoint: &Checkpoint, options: Options) -> Result<Vec<u
     let [u, wi, wo, level] = inputs.as_slice() else { unreachable!("four ports are declared") };
     let wi = Direction::new(&mut b, "wi", wi.clone());
     let wo = Direction::new(&mut b, "wo", wo.clone());
-    let (u, level) = (query::wrapped(&mut b, u), column(&mut b, checkpoint, level));
+    let (u, level) = query::led(&mut b, architecture, u, level);
     let query = Query { u, level, wi, wo, shape };
     let features = features(&mut b, checkpoint, options, &query.u, &query.wo, &query.level)?;
     answer(b, checkpoint, options, &query, &features, (true, architecture.levels() > 1))
@@ -254,10 +266,6 @@ fn declare(b: &mut Builder, ports: &[Port]) -> (Vec<Value>, Option<Value>) {
         b.node("Reshape", &format!("{}.rows", port.name), &[&input, &rows], &[])
     });
     (rows.collect(), shape)
-}
-
-fn column(b: &mut Builder, checkpoint: &Checkpoint, level: &Value) -> Value {
-    query::clamped(b, level, checkpoint.header.architecture.coarsest())
 }
 
 /// From features to the model's bytes; `read` says whether u and the level were read on the way to here.

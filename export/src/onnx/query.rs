@@ -1,6 +1,9 @@
-//! The inputs of a graph as it uses them: the position wrapped, the level clamped, directions measured.
+//! The inputs of a graph as it uses them: the position wrapped, the level clamped, both led to what the material was fitted
+//! for, directions measured.
 
 use super::builder::{Builder, Value};
+use crate::config::Architecture;
+use crate::domain::Guide;
 
 /// A direction \[N, 2\] and its length.
 pub struct Direction {
@@ -42,8 +45,7 @@ impl Direction {
 /// u - floor(u).
 pub fn wrapped(b: &mut Builder, u: &Value) -> Value {
     b.scope("query");
-    let floor = b.floor("u.floor", u);
-    b.sub("u.wrapped", u, &floor)
+    wrapped_as(b, "u", u)
 }
 
 /// The level from 0 to the coarsest, \[N, 1\].
@@ -51,6 +53,42 @@ pub fn clamped(b: &mut Builder, level: &Value, coarsest: usize) -> Value {
     b.scope("query");
     let level = b.unsqueeze("level.column", level, &[1]);
     b.clip("level", &level, 0.0, coarsest as f32)
+}
+
+/// The position and the level \[N, 1\] that answer: wrapped and clamped, by the domain of a material that has one.
+pub fn led(b: &mut Builder, architecture: &Architecture, u: &Value, level: &Value) -> (Value, Value) {
+    let Some(guide) = architecture.guide() else {
+        return (wrapped(b, u), clamped(b, level, architecture.coarsest()));
+    };
+    let Guide { corner, scale, part, levels: [finest, coarsest], outside } = guide;
+    if !guide.is_window() {
+        let u = wrapped(b, u);
+        let level = b.unsqueeze("level.column", level, &[1]);
+        return (u, b.clip("level", &level, finest, coarsest));
+    }
+    b.scope("domain");
+    let corner = b.floats("domain.corner", &[2], &corner);
+    let from_corner = b.sub("u.from_corner", u, &corner);
+    let from_corner = wrapped_as(b, "u.from_corner", &from_corner);
+    let scale = b.floats("domain.scale", &[2], &scale);
+    let local = b.mul("u.local", &from_corner, &scale);
+    let windows = b.floor("u.windows", &local);
+    let u = b.sub("u.wrapped", &local, &windows);
+    // Along an axis that has all of the tile nothing is beyond the window, even where rounding makes a position 1.
+    let part = b.floats("domain.part", &[2], &part.map(f32::from));
+    let beyond = b.mul("u.beyond", &windows, &part);
+    let beyond = b.row_sum("u.all_beyond", &beyond);
+    let half = b.scalar(0.5);
+    let inside = b.node("Less", "u.inside", &[&beyond, &half], &[]);
+    let level = b.unsqueeze("level.column", level, &[1]);
+    let within = b.clip("level.within", &level, finest, coarsest);
+    let outside = b.scalar(outside);
+    (u, b.node("Where", "level", &[&inside, &within, &outside], &[]))
+}
+
+fn wrapped_as(b: &mut Builder, name: &str, u: &Value) -> Value {
+    let floor = b.floor(&format!("{name}.floor"), u);
+    b.sub(&format!("{name}.wrapped"), u, &floor)
 }
 
 /// The level counted from the finest stored one, \[N, 1\].

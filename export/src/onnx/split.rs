@@ -4,7 +4,7 @@ use super::builder::Builder;
 use super::encoding::{self, Inputs};
 use super::network::{self, decoder};
 use super::query::{self, Direction};
-use super::{Layout, Options, Port, check, column, features, finish, lobes, properties, with_features};
+use super::{Layout, Options, Port, check, features, finish, lobes, properties, with_features};
 use crate::checkpoint::Checkpoint;
 use crate::config::Architecture;
 use crate::error::{Error, Result};
@@ -64,7 +64,7 @@ pub fn prepare_graph(
     let inputs: Vec<_> = inputs.iter().map(|port| b.input(port)).collect();
     let [u, wo, level] = inputs.as_slice() else { unreachable!("three ports are declared") };
     let wo = Direction::new(&mut b, "wo", wo.clone());
-    let (u, level) = (query::wrapped(&mut b, u), column(&mut b, checkpoint, level));
+    let (u, level) = query::led(&mut b, architecture, u, level);
     let features = features(&mut b, checkpoint, options, &u, &wo, &level)?;
 
     let encoded =

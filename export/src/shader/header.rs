@@ -34,6 +34,12 @@ pub fn comment(w: &mut Writer, material: &Material, layout: &Layout) {
         }
         Measure::Reflectance => "RGB is linear and does not have the cosine of the light in it.",
     };
+    let fitted = match &architecture.domain {
+        None => "",
+        Some(_) => {
+            "It was fitted for one scene; other levels are clamped and other places blurred: see README.txt.\n"
+        }
+    };
     let text = format!(
         "neumip: the neural material \"{name}\", {language}, {mode}.\n\
          Golden answers within {error}.\n\
@@ -45,6 +51,7 @@ pub fn comment(w: &mut Writer, material: &Material, layout: &Layout) {
          the surface; x and y of unit vectors are given, so give them only where z > 0 (the answer is 0 elsewhere). u is\n\
          the position in tiles and repeats. level is log2 of the footprint's size in texels of the finest level ({finest}).\n\
          {measure}\n\
+         {fitted}\
          \n\
          {bindings}\n\
          {operations} operations a query in the networks (neumip_prepare and neumip_evaluate; 2 a weight).",
@@ -65,7 +72,7 @@ pub fn comment(w: &mut Writer, material: &Material, layout: &Layout) {
                  vec4 drawn = neumip_sample(lobes, xi);             wi (x, y, z) and its density; xi: two uniform numbers\n\
                  float pdf = neumip_pdf(lobes, wi);                 of any unit vector wi (x, y, z)\n",
         },
-        finest = format_args!("{} x {}", architecture.resolution[0], architecture.resolution[1]),
+        finest = format_args!("{} x {}", architecture.tile()[0], architecture.tile()[1]),
         bindings = bindings(w, material, layout, [height, width, levels, layers]),
         operations = operations(architecture),
     );

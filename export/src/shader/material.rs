@@ -4,7 +4,9 @@ use super::network::{Part, joined, output_widths, rest};
 use super::texture::{self, Texture};
 use super::writer::{Type, Type::Float, Type::Half, Type::Struct, Writer, number};
 use super::{Material, encoding};
-use crate::config::{DECODER_MLP, OFFSET_MLP, OutputSpace, OutputTransform, ParallaxConfig, YUV_TO_RGB};
+use crate::config::{
+    Architecture, DECODER_MLP, OFFSET_MLP, OutputSpace, OutputTransform, ParallaxConfig, YUV_TO_RGB,
+};
 use crate::weights::{Layer, Layout};
 
 /// Everything but the sampler.
@@ -51,12 +53,7 @@ fn prepare(w: &mut Writer, material: &Material, offset: &[&Layer], before: &Part
     w.comment("u: position in tiles. level: log2 of the footprint in texels of the finest level. wo: x and y of the unit vector to the viewer.");
     let parameters = [(Float(2), "u".into()), (Float(1), "level".into()), (Float(2), "wo".into())];
     w.function(Struct("NeumipPrepared"), "neumip_prepare", &parameters, |w| {
-        w.declare_precise(Float(2), "tile", "u - floor(u)");
-        w.declare(
-            Float(1),
-            "level_",
-            &format!("clamp(level, 0.0, {})", number(architecture.coarsest() as f32)),
-        );
+        place(w, architecture);
         square(w, "wo");
         root(w, "wo");
         let at = match &model.parallax {
@@ -105,6 +102,30 @@ fn prepare(w: &mut Writer, material: &Material, offset: &[&Layer], before: &Part
         }
         w.line("return prepared;");
     });
+}
+
+/// The position and the level that answer: `tile` and `level_`.
+fn place(w: &mut Writer, architecture: &Architecture) {
+    let Some(guide) = architecture.guide() else {
+        w.declare_precise(Float(2), "tile", "u - floor(u)");
+        let coarsest = number(architecture.coarsest() as f32);
+        return w.declare(Float(1), "level_", &format!("clamp(level, 0.0, {coarsest})"));
+    };
+    let clamped = format!("clamp(level, {}, {})", number(guide.levels[0]), number(guide.levels[1]));
+    if !guide.is_window() {
+        w.declare_precise(Float(2), "tile", "u - floor(u)");
+        return w.declare(Float(1), "level_", &clamped);
+    }
+    w.comment("In windows from the window's corner. Outside, the coarsest level answers.");
+    let [corner, scale] =
+        [guide.corner, guide.scale].map(|pair| w.make(Float(2), &pair.map(number).join(", ")));
+    w.declare_precise(Float(2), "from_corner", &format!("u - {corner}"));
+    w.declare_precise(Float(2), "windows", &format!("(from_corner - floor(from_corner)) * {scale}"));
+    w.declare_precise(Float(2), "tile", "windows - floor(windows)");
+    let inside = [("windows.x", guide.part[0]), ("windows.y", guide.part[1])];
+    let inside = inside.iter().filter(|(_, part)| *part).map(|(axis, _)| format!("{axis} < 1.0"));
+    let level = w.choose(&inside.collect::<Vec<_>>().join(" && "), &clamped, &number(guide.outside));
+    w.declare(Float(1), "level_", &level);
 }
 
 fn evaluate(w: &mut Writer, material: &Material, decoder: &[&Layer], after: &Part) {

@@ -2,7 +2,7 @@
 //! material in both modes. Without Chromium or Python the comparison is skipped, and says so.
 
 use super::lobes::{density, lobes, sample, sampler};
-use super::materials::{Numbers, cases, checkpoint, queries};
+use super::materials::{self, Numbers, cases, checkpoint, queries};
 use super::plain;
 use neumip_export::config::{DecoderConfig, ParallaxConfig};
 use neumip_export::sampler::Frame;
@@ -114,6 +114,23 @@ fn all_kinds(folder: &Path, jobs: &mut Jobs) {
     }
 }
 
+/// Writes fitted materials and adds their sources, and those of the same with their window a texel further.
+fn fitted(folder: &Path, jobs: &mut Jobs) {
+    for (k, (_, mut checkpoint)) in materials::fitted().into_iter().enumerate() {
+        let folder = folder.join(k.to_string());
+        write(&folder, &checkpoint, None);
+        let name = file_name(Language::GlslEs, Mode::Exact);
+        for within in [[0.0, EXACT], [EXACT, f64::INFINITY]] {
+            let path = folder.join(format!("exact{}.es.glsl", jobs.names.len()));
+            let text =
+                files(&checkpoint, None).unwrap().into_iter().find(|(file, _)| *file == name).unwrap().1;
+            std::fs::write(&path, text).unwrap();
+            jobs.add(&path, "", within);
+            materials::misplace(&mut checkpoint);
+        }
+    }
+}
+
 /// Writes a trained material and adds its sources, and those of a neighbour of it that are to fail.
 fn trained(folder: &Path, jobs: &mut Jobs) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/tiny.safetensors");
@@ -148,6 +165,7 @@ fn sources_answer_in_a_browser_and_changed_weights_are_noticed() {
     let folder = tempfile::tempdir().unwrap();
     let mut jobs = Jobs::default();
     all_kinds(folder.path(), &mut jobs);
+    fitted(&folder.path().join("fitted"), &mut jobs);
     trained(&folder.path().join("trained"), &mut jobs);
     let python = std::env::var_os("NEUMIP_PYTHON").unwrap_or_else(|| "python3".into());
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/check_shader.py");

@@ -11,3 +11,4 @@ mod precision;
 mod shaders;
 mod steps;
 mod textures;
+mod windows;

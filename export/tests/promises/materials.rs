@@ -2,7 +2,7 @@
 
 use neumip_export::checkpoint::{Checkpoint, FORMAT, Header, Measure};
 use neumip_export::config::*;
-use neumip_export::{Golden, Tensor};
+use neumip_export::{Cone, Domain, Golden, Tensor};
 use std::collections::BTreeMap;
 use std::f32::consts::TAU;
 
@@ -162,6 +162,38 @@ pub fn cases() -> Vec<(&'static str, ModelConfig, [usize; 2])> {
     ]
 }
 
+/// Materials that were fitted for a scene: a window that laps the tile's border, a band of it, and the whole tile with some
+/// of its levels.
+pub fn fitted() -> Vec<(&'static str, Checkpoint)> {
+    let up = |cosine| Cone { axis: [0.0, 0.0, 1.0], cosine };
+    let mut attenuated = baseline();
+    attenuated.encoding.u = position(4, true, true, true);
+    let places = [
+        ("a window over the border", baseline(), [16, 24], [32, 32], [25, 20], [0.0, 1.25]),
+        ("a band of rows", attenuated, [12, 20], [20, 20], [5, 0], [0.25, 1.0]),
+        ("the whole tile", baseline(), [16, 16], [16, 16], [0, 0], [0.75, 2.0]),
+    ];
+    let checkpoints = places.into_iter().map(|(name, model, resolution, tile, corner, levels)| {
+        let mut checkpoint = checkpoint(&model, resolution, 31);
+        let (wi, wo) = (up(0.2), up(0.5));
+        let domain = Domain { scene: "near".into(), tile, corner, levels, wi, wo, floor: 0.1 };
+        checkpoint.header.architecture.domain = Some(domain);
+        checkpoint.header.architecture.validate().unwrap();
+        (name, checkpoint)
+    });
+    checkpoints.collect()
+}
+
+/// Moves the window of a fitted material by a texel, or its finest level where the window is the whole tile.
+pub fn misplace(checkpoint: &mut Checkpoint) {
+    let Architecture { domain, resolution, .. } = &mut checkpoint.header.architecture;
+    let domain = domain.as_mut().unwrap();
+    match domain.tile == *resolution {
+        true => domain.levels[0] += 0.25,
+        false => domain.corner[0] = (domain.corner[0] + 1) % domain.tile[0],
+    }
+}
+
 /// As [`cases`], with decoders that read neighbours.
 pub fn image_cases() -> Vec<(&'static str, ModelConfig, [usize; 2])> {
     let case = |modules, paths: [usize; 4], reduce, change: fn(&mut ModelConfig)| {
@@ -234,11 +266,14 @@ pub fn checkpoint(model: &ModelConfig, resolution: [usize; 2], seed: u64) -> Che
     Checkpoint { header, tensors }
 }
 
+/// Within this many tiles of a window's border nothing is asked.
+const NEAR: f32 = 1e-3;
+
 /// Queries: ordinary ones, texel edges, far tiles, levels outside the pyramid, grazing and below the horizon.
 /// The answers are left empty.
 pub fn queries(architecture: &Architecture, count: usize, seed: u64) -> Golden {
     let mut numbers = Numbers::new(seed);
-    let [height, width] = architecture.resolution;
+    let [height, width] = architecture.tile();
     let levels = architecture.coarsest() as f32 + 1.0;
     let empty = || (vec![], vec![], vec![], vec![], vec![]);
     let (u, wi, wo, level, rgb) = empty();
@@ -270,5 +305,9 @@ pub fn queries(architecture: &Architecture, count: usize, seed: u64) -> Golden {
     out.wi[1] = [0.0, 0.0];
     out.wo[1] = [0.0, 0.0];
     out.u[2] = [-1e-9, 1.0];
+    if let Some(guide) = architecture.guide() {
+        // A reader may round the border of a window otherwise.
+        out.u.iter_mut().filter(|u| guide.border(**u) < NEAR).for_each(|u| *u = u.map(|v| v + 2.0 * NEAR));
+    }
     out
 }

@@ -9,6 +9,7 @@ use neumip_export::{Checkpoint, Golden};
 /// Texture features at `u` (wrapped) after parallax.
 pub fn features(checkpoint: &Checkpoint, u: [f32; 2], wo: [f32; 2], level: f32) -> Vec<f64> {
     let architecture = &checkpoint.header.architecture;
+    let (u, level) = led(architecture, u, level);
     let mut at = wrapped(u).map(f64::from);
     if let ParallaxConfig::Offset(offset) = &architecture.model.parallax {
         let mut input = bilinear(checkpoint, OFFSET_TEXTURE, at);
@@ -25,6 +26,25 @@ pub fn features(checkpoint: &Checkpoint, u: [f32; 2], wo: [f32; 2], level: f32) 
     let a = bilinear(checkpoint, &texture_name(fine), at);
     let b = bilinear(checkpoint, &texture_name((fine + 1).min(last)), at);
     a.iter().zip(&b).map(|(a, b)| (1.0 - fraction) * a + fraction * b).collect()
+}
+
+/// Where a material with a domain looks in place of a query, in 32-bit floats as the format has it.
+fn led(architecture: &Architecture, u: [f32; 2], level: f32) -> ([f32; 2], f32) {
+    let Some(domain) = &architecture.domain else { return (u, level) };
+    let clamped = level.max(domain.levels[0]).min(domain.levels[1]);
+    if domain.tile == architecture.resolution {
+        return (u, clamped);
+    }
+    let mut inside = true;
+    let mut place = [0.0; 2];
+    for (c, axis) in [(0, 1), (1, 0)] {
+        let [tile, size] = [domain.tile[axis] as f32, architecture.resolution[axis] as f32];
+        let moved = u[c] - domain.corner[axis] as f32 / tile;
+        let windows = (moved - moved.floor()) * (tile / size);
+        inside &= tile == size || windows < 1.0;
+        place[c] = windows - windows.floor();
+    }
+    (place, if inside { clamped } else { architecture.coarsest() as f32 })
 }
 
 /// RGB from features: 0 below the horizon, never negative.
@@ -143,6 +163,7 @@ fn shown(checkpoint: &Checkpoint, y: &[f64]) -> [f64; 3] {
 fn encoding(architecture: &Architecture, u: [f32; 2], wi: [f32; 2], wo: [f32; 2], level: f32) -> Vec<f64> {
     let encoding = &architecture.model.encoding;
     let base = if encoding.pi { std::f64::consts::PI } else { 1.0 };
+    let (u, level) = led(architecture, u, level);
     let mut out = Vec::new();
     let mut bands = |p: &[f64], count: usize, raw: bool, factor: &dyn Fn(usize, usize) -> f64| {
         for k in 0..count {

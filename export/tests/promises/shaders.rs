@@ -1,7 +1,7 @@
 //! Shader sources of every kind of material are programs: compilers that we did not write accept them, and refuse broken
 //! ones. What they answer is tested in a browser, by the tests of the whole.
 
-use super::materials::{cases, image_cases};
+use super::materials::{cases, fitted, image_cases};
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{ShaderStage, front};
 use neumip_export::sampler::Frame;
@@ -88,6 +88,11 @@ fn programs(language: Language) -> Vec<Program> {
             sampler,
             weights,
         };
+        out.extend(Mode::ALL.map(|mode| program(name, &material, language, mode)));
+    }
+    let fitted = fitted();
+    for (name, checkpoint) in &fitted {
+        let material = Material { name, ..Material::new(checkpoint, None) };
         out.extend(Mode::ALL.map(|mode| program(name, &material, language, mode)));
     }
     // More weights than a uniform block holds.
