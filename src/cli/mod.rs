@@ -6,6 +6,7 @@ mod console;
 mod demo;
 mod evaluate;
 mod export;
+mod fit;
 mod generate;
 mod info;
 mod look;
@@ -56,6 +57,8 @@ enum Command {
     Sampler(sampler::Sampler),
     /// Render pictures of a scene.
     Render(render::Render),
+    /// Train the smallest model that a scene cannot tell from the full one.
+    Fit(fit::Fit),
     /// Ask the paper's questions again: tables, ablation, Inception decoder, speed against accuracy.
     Reproduce(reproduce::Reproduce),
     /// Examine a trained material, or show known failures, their cures, and that the cures hold.
@@ -86,6 +89,7 @@ impl Cli {
             Command::View(command) => command.run(&console),
             Command::Sampler(command) => command.run(&console),
             Command::Render(command) => command.run(&console),
+            Command::Fit(command) => command.run(&console),
             Command::Reproduce(command) => command.run(&console),
             Command::Stability(command) => command.run(&console),
             Command::Chart(command) => command.run(&console),

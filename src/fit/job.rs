@@ -20,7 +20,7 @@ use crate::evaluate::costs_on;
 use crate::metrics::ErrorSum;
 use crate::query::{QueryBuffer, Reflectance};
 use crate::render::compare::Comparison;
-use crate::render::{Demand, Sample, Scene};
+use crate::render::{Sample, Scene};
 use neumip_export::Storage;
 use neumip_export::checkpoint::Checkpoint;
 use std::ops::ControlFlow;
@@ -135,7 +135,6 @@ pub struct Prepared {
     pub need: Need,
     /// The pictures that choices are made on.
     pub pictures: Pictures,
-    demand: Demand,
     data: Dataset,
     /// The full model's errors on the pictures.
     pub full: Comparison,
@@ -177,7 +176,7 @@ impl Job<'_> {
         let data = samples(&folder, &demand, &need, self.truth, of, &amount, &mut told)?;
         let full = mean(&pictures, &material(self.full, Storage::SINGLE)?)?;
         let some = demand.queries.range(0, demand.queries.len().min(CALIBRATION));
-        Ok(Prepared { need, pictures, demand, data, full, some, seconds: begun.elapsed().as_secs_f64() })
+        Ok(Prepared { need, pictures, data, full, some, seconds: begun.elapsed().as_secs_f64() })
     }
 
     fn pictures(&self, scene: &mut Scene, times: Times, watch: &Watch) -> Result<Pictures> {

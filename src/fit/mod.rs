@@ -12,16 +12,19 @@
 //! ```
 
 pub mod candidates;
+pub mod folder;
 pub mod goal;
 pub mod job;
 pub mod model;
 pub mod need;
 pub mod outcome;
+pub mod page;
 pub mod pictures;
 pub mod prior;
 pub mod samples;
 pub mod search;
 pub mod shape;
+pub mod table;
 pub mod transfer;
 pub mod trial;
 pub mod truth;
