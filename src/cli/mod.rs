@@ -1,5 +1,6 @@
 //! The command line: one verb a file. Only this module prints.
 
+mod analyze;
 mod bench;
 mod chart;
 mod console;
@@ -56,6 +57,8 @@ enum Command {
     Sampler(sampler::Sampler),
     /// Render pictures of a scene.
     Render(render::Render),
+    /// Find out what a scene asks of its materials.
+    Analyze(analyze::Analyze),
     /// Ask the paper's questions again: tables, ablation, Inception decoder, speed against accuracy.
     Reproduce(reproduce::Reproduce),
     /// Examine a trained material, or show known failures, their cures, and that the cures hold.
@@ -86,6 +89,7 @@ impl Cli {
             Command::View(command) => command.run(&console),
             Command::Sampler(command) => command.run(&console),
             Command::Render(command) => command.run(&console),
+            Command::Analyze(command) => command.run(&console),
             Command::Reproduce(command) => command.run(&console),
             Command::Stability(command) => command.run(&console),
             Command::Chart(command) => command.run(&console),
