@@ -184,7 +184,7 @@ fn bad_input_is_refused_in_one_line() {
             ("analyze run --scene scene.json --out out", 2, &["scene.json", "material of its own"]),
             ("analyze run --surface rocks --scene plane --out out", 2, &["--surface"]),
             ("analyze --surface rocks --scene scene.json --out out", 2, &["--surface", "scene.json"]),
-            ("analyze --surface gone.json --scene plane --out out", 1, &["gone.json"]),
+            ("analyze --surface gone.json --scene plane --out out", 2, &["gone.json"]),
             ("analyze --surface rocks --resolution 0 --scene plane --out out", 1, &["resolution"]),
             ("analyze --resolution 64 --scene scene.json --out out", 2, &["--surface"]),
             ("analyze --scene scene.json --out out --frames 0", 2, &["--frames 0"]),
