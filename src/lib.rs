@@ -28,12 +28,15 @@
 //!   │
 //! render ─ pictures of scenes: objects, lights and cameras around materials     artefacts ─ a bundle put to the test
 //!   │
+//! analyze ─ what a scene asks of its materials: levels, places, directions
+//!   │
 //! stability ─ known failures as probes: the naive form, the cure, the bound that guards it
 //!   │
 //! report, view, cli, neumip-export ─ pages, a bundle's viewer, commands, ONNX and textures for other renderers
 //! ```
 
 pub mod analytic;
+pub mod analyze;
 pub mod artefacts;
 pub mod bench;
 pub mod chart;

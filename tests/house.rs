@@ -7,7 +7,7 @@ use std::process::Command;
 
 /// What each module of `src/` may import besides itself and [`ANYWHERE`]. `export` is the exporter's crate but for its
 /// `config`, which is our `config`'s own ground. A module that is missing here fails.
-const FLOW: [(&str, &[&str]); 31] = [
+const FLOW: [(&str, &[&str]); 32] = [
     ("error", &["export"]),
     ("config", &[]),
     ("query", &["error"]),
@@ -62,6 +62,8 @@ const FLOW: [(&str, &[&str]); 31] = [
         "render",
         &["query", "random", "srgb", "reference", "metrics", "report", "checkpoint", "sampler", "export"],
     ),
+    // Drawn as charts are.
+    ("analyze", &["query", "render", "chart", "report", "export"]),
     (
         "reproduce",
         &[
@@ -123,6 +125,7 @@ const EVERYTHING: &[&str] = &[
     "chart",
     "view",
     "render",
+    "analyze",
     "stability",
     "export",
 ];

@@ -7,6 +7,7 @@ mod materials;
 #[allow(dead_code, reason = "the exporter's tests use all of it")]
 mod plain;
 
+mod analyze;
 mod command_line;
 mod dataset;
 mod demo;

@@ -19,8 +19,8 @@ mod page;
 mod panel;
 mod plot;
 mod points;
-mod raster;
-mod scene;
+pub(crate) mod raster;
+pub(crate) mod scene;
 #[cfg(test)]
 mod tests;
 

@@ -18,7 +18,7 @@ static FONT: LazyLock<Option<FontRef<'static>>> =
     LazyLock::new(|| FontRef::try_from_slice(epaint_default_fonts::UBUNTU_LIGHT).ok());
 
 /// Width of a text in units, about: browsers use other fonts of much the same width.
-pub(super) fn text_width(text: &str, size: f64) -> f64 {
+pub(crate) fn text_width(text: &str, size: f64) -> f64 {
     let Some(font) = FONT.as_ref() else { return 0.55 * size * text.chars().count() as f64 };
     let em = f64::from(font.units_per_em().unwrap_or(1000.0));
     let sum: f64 = text.chars().map(|c| f64::from(font.h_advance_unscaled(font.glyph_id(c)))).sum();
@@ -29,7 +29,19 @@ pub(super) fn text_width(text: &str, size: f64) -> f64 {
 ///
 /// # Errors
 /// `Usage` if it would be higher than pictures can be; `Config` if it cannot be encoded.
-pub(super) fn png(scene: &Scene, width: u32) -> Result<Vec<u8>> {
+pub(crate) fn png(scene: &Scene, width: u32) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    drawn(scene, width)?
+        .write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png)
+        .map_err(|e| Error::config("picture", format!("cannot be encoded: {e}")))?;
+    Ok(bytes)
+}
+
+/// The picture before it is a file.
+///
+/// # Errors
+/// `Usage` if it would be higher than pictures can be.
+pub(crate) fn drawn(scene: &Scene, width: u32) -> Result<RgbImage> {
     let scale = f64::from(width) / f64::from(WIDTH);
     let height = (scene.height * scale).ceil();
     if height > HIGHEST {
@@ -38,12 +50,7 @@ pub(super) fn png(scene: &Scene, width: u32) -> Result<Vec<u8>> {
     }
     let mut canvas = Canvas { image: RgbImage::from_pixel(width, height as u32, Rgb(GROUND)), scale };
     scene.items.iter().for_each(|item| canvas.draw(item));
-    let mut bytes = Vec::new();
-    canvas
-        .image
-        .write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png)
-        .map_err(|e| Error::config("picture", format!("cannot be encoded: {e}")))?;
-    Ok(bytes)
+    Ok(canvas.image)
 }
 
 struct Canvas {
@@ -198,7 +205,7 @@ mod tests {
     /// A pixel half covered by black on white, to rounding.
     const HALF: u8 = 128;
 
-    fn drawn(items: Vec<Item>, width: u32) -> RgbImage {
+    fn decoded(items: Vec<Item>, width: u32) -> RgbImage {
         let scene = Scene { height: 40.0, says: String::new(), items };
         image::load_from_memory(&png(&scene, width).unwrap()).unwrap().to_rgb8()
     }
@@ -206,13 +213,13 @@ mod tests {
     #[test]
     fn fills_by_coverage() {
         let line = |y| Item::Line { points: vec![[10.0, y], [30.0, y]], width: 2.0, colour: [0; 3] };
-        let image = drawn(vec![line(20.0)], WIDTH);
+        let image = decoded(vec![line(20.0)], WIDTH);
         assert_eq!((image.width(), image.height()), (WIDTH, 40));
         assert_eq!([18, 19, 20, 21].map(|y| image.get_pixel(20, y).0[0]), [255, 0, 0, 255]);
         // Half a pixel lower, half of it shows in one more row.
-        let image = drawn(vec![line(20.5)], WIDTH);
+        let image = decoded(vec![line(20.5)], WIDTH);
         assert_eq!([19, 20, 21].map(|y| image.get_pixel(20, y).0[0]), [HALF, 0, HALF]);
-        let image = drawn(vec![line(20.0)], 2 * WIDTH);
+        let image = decoded(vec![line(20.0)], 2 * WIDTH);
         assert_eq!((image.width(), image.height()), (2 * WIDTH, 80));
         assert_eq!([37, 38, 41, 42].map(|y| image.get_pixel(40, y).0[0]), [255, 0, 0, 255]);
     }
@@ -227,11 +234,11 @@ mod tests {
             (left..right).any(|x| (0..image.height()).any(|y| image.get_pixel(x, y).0[0] < 128))
         };
         let [start, middle, end] = [Anchor::Start, Anchor::Middle, Anchor::End]
-            .map(|anchor| drawn(vec![text(anchor, false)], WIDTH));
+            .map(|anchor| decoded(vec![text(anchor, false)], WIDTH));
         assert!(!dark(&start, 0, 299) && dark(&start, 300, 340));
         assert!(dark(&middle, 280, 300) && dark(&middle, 300, 320));
         assert!(dark(&end, 260, 300) && !dark(&end, 302, 1200));
-        let upright = drawn(vec![text(Anchor::Start, true)], WIDTH);
+        let upright = decoded(vec![text(Anchor::Start, true)], WIDTH);
         assert!(dark(&upright, 285, 301) && !dark(&upright, 302, 1200));
     }
 

@@ -5,17 +5,17 @@ use super::raster::text_width;
 use crate::report;
 
 /// sRGB.
-pub(super) type Colour = [u8; 3];
-pub(super) const GROUND: Colour = [255, 255, 255];
-pub(super) const INK: Colour = [0x1c, 0x21, 0x27];
-pub(super) const SOFT: Colour = [0x59, 0x62, 0x6e];
-pub(super) const GRID: Colour = [0xe6, 0xe9, 0xed];
+pub(crate) type Colour = [u8; 3];
+pub(crate) const GROUND: Colour = [255, 255, 255];
+pub(crate) const INK: Colour = [0x1c, 0x21, 0x27];
+pub(crate) const SOFT: Colour = [0x59, 0x62, 0x6e];
+pub(crate) const GRID: Colour = [0xe6, 0xe9, 0xed];
 /// Metric neighbours of the font that PNG files are written in, so that both kinds of file are laid out alike.
 const FONTS: &str = "Arial, Helvetica, 'Liberation Sans', sans-serif";
 
 /// Which point of a text stands at its place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Anchor {
+pub(crate) enum Anchor {
     Start,
     Middle,
     End,
@@ -23,19 +23,19 @@ pub(super) enum Anchor {
 
 /// A text; `at` is on its base line.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Text {
-    pub(super) at: [f64; 2],
-    pub(super) text: String,
-    pub(super) size: f64,
-    pub(super) colour: Colour,
-    pub(super) anchor: Anchor,
+pub(crate) struct Text {
+    pub(crate) at: [f64; 2],
+    pub(crate) text: String,
+    pub(crate) size: f64,
+    pub(crate) colour: Colour,
+    pub(crate) anchor: Anchor,
     /// True if it is read from below upwards.
-    pub(super) upright: bool,
+    pub(crate) upright: bool,
 }
 
 /// One thing of a picture; places in units from the upper left corner, later ones above earlier ones.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Item {
+pub(crate) enum Item {
     Line {
         points: Vec<[f64; 2]>,
         width: f64,
@@ -57,15 +57,15 @@ pub(super) enum Item {
 
 /// A picture.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Scene {
-    pub(super) height: f64,
+pub(crate) struct Scene {
+    pub(crate) height: f64,
     /// What it shows, for readers who do not see it.
-    pub(super) says: String,
-    pub(super) items: Vec<Item>,
+    pub(crate) says: String,
+    pub(crate) items: Vec<Item>,
 }
 
 /// Text as it may stand between tags and in quoted attributes. Characters that XML has no place for are replaced.
-pub(super) fn escaped(text: &str) -> String {
+pub(crate) fn escaped(text: &str) -> String {
     let placed = |c| match c {
         '\n' => c,
         '\u{0}'..='\u{1f}' | '\u{7f}' | '\u{fffe}' | '\u{ffff}' => '\u{fffd}',
@@ -75,7 +75,7 @@ pub(super) fn escaped(text: &str) -> String {
 }
 
 /// Lines of at most `width` units; a word that is longer stands alone.
-pub(super) fn wrapped(text: &str, size: f64, width: f64) -> Vec<String> {
+pub(crate) fn wrapped(text: &str, size: f64, width: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split(' ').filter(|w| !w.is_empty()) {
         match lines.last_mut() {
@@ -90,7 +90,7 @@ pub(super) fn wrapped(text: &str, size: f64, width: f64) -> Vec<String> {
 }
 
 /// The text, cut so that it is no wider than `width` units.
-pub(super) fn cut(text: &str, size: f64, width: f64) -> String {
+pub(crate) fn cut(text: &str, size: f64, width: f64) -> String {
     if text_width(text, size) <= width {
         return text.into();
     }
@@ -156,7 +156,7 @@ fn write(item: &Item, out: &mut String) {
 }
 
 /// The picture as an SVG file: dark ink on white, no script, no other file.
-pub(super) fn svg(scene: &Scene) -> String {
+pub(crate) fn svg(scene: &Scene) -> String {
     let height = number(scene.height);
     let mut out = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{WIDTH}\" height=\"{height}\" \

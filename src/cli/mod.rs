@@ -1,5 +1,6 @@
 //! The command line: one verb a file. Only this module prints.
 
+mod analyze;
 mod bench;
 mod chart;
 mod console;
@@ -57,6 +58,8 @@ enum Command {
     Sampler(sampler::Sampler),
     /// Render pictures of a scene.
     Render(render::Render),
+    /// Find out what a scene asks of its materials.
+    Analyze(analyze::Analyze),
     /// Train the smallest model that a scene cannot tell from the full one.
     Fit(fit::Fit),
     /// Ask the paper's questions again: tables, ablation, Inception decoder, speed against accuracy.
@@ -89,6 +92,7 @@ impl Cli {
             Command::View(command) => command.run(&console),
             Command::Sampler(command) => command.run(&console),
             Command::Render(command) => command.run(&console),
+            Command::Analyze(command) => command.run(&console),
             Command::Fit(command) => command.run(&console),
             Command::Reproduce(command) => command.run(&console),
             Command::Stability(command) => command.run(&console),

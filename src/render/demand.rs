@@ -78,17 +78,20 @@ impl Scene {
                 frame.samples = sample.samples;
             }
             let size = frame.camera.width() * frame.camera.height();
-            for batch in self.batches(&frame) {
+            let batches = self.batches(&frame);
+            let batch_count = batches.len();
+            for (number, batch) in batches.into_iter().enumerate() {
                 rays += (batch.len() * frame.samples) as u64;
                 let asked = self.ask(&frame, batch)?;
                 for (k, part) in asked.parts.iter().enumerate() {
-                    let mut last = vec![u32::MAX; count];
+                    // Terms of one pixel may lie apart: light that came by other objects is found later.
+                    let mut seen = vec![vec![false; part.pixels.len()]; count];
                     for term in &part.terms {
                         let weight = term.weight.iter().sum::<f32>() / 3.0;
                         for slot in std::iter::once(term.first).chain(term.second) {
                             let m = slot.material as usize;
-                            pixels_of[m] += u64::from(last[m] != term.pixel);
-                            last[m] = term.pixel;
+                            let seen = &mut seen[m][term.pixel as usize];
+                            pixels_of[m] += u64::from(!std::mem::replace(seen, true));
                             let ordinal = asked_of[m];
                             asked_of[m] += 1;
                             let key = Random::new(sample.seed, Stream::Probe, ordinal).uniform_f64();
@@ -112,11 +115,14 @@ impl Scene {
                         }
                     }
                 }
+                let done = index as f64 + (number + 1) as f64 / batch_count as f64;
+                if progress(done / frames as f64).is_break() {
+                    return Err(crate::error::Error::Interrupted(
+                        "the scene was not asked to its end".into(),
+                    ));
+                }
             }
             pixels += size as u64;
-            if progress((index + 1) as f64 / frames as f64).is_break() {
-                return Err(crate::error::Error::Interrupted("the scene was not asked to its end".into()));
-            }
         }
         let all = self.materials.iter().zip(kept).enumerate();
         let demand = all.map(|(m, (material, mut kept))| {

@@ -3,7 +3,7 @@
 use crate::srgb;
 
 /// Shown for values that are not finite; the map never comes near it.
-pub(super) const INVALID: [u8; 3] = [0, 255, 255];
+pub(crate) const INVALID: [u8; 3] = [0, 255, 255];
 
 /// Entries of the map.
 const ENTRIES: usize = 256;
@@ -41,12 +41,12 @@ fn at(t: f32) -> [u8; 3] {
 }
 
 /// The map, from dark (0) to bright (1).
-pub(super) fn map() -> Vec<[u8; 3]> {
+pub(crate) fn map() -> Vec<[u8; 3]> {
     (0..ENTRIES).map(|i| at(i as f32 / (ENTRIES - 1) as f32)).collect()
 }
 
 /// The entry for a value in \[0, 1\]; values outside are clamped, others are [`INVALID`].
-pub(super) fn look_up(map: &[[u8; 3]], t: f32) -> [u8; 3] {
+pub(crate) fn look_up(map: &[[u8; 3]], t: f32) -> [u8; 3] {
     if !t.is_finite() {
         return INVALID;
     }

@@ -3,9 +3,9 @@
 //! [`html`] needs no other file, no script and no network; [`json`] keeps every number of the page and none
 //! of its pictures. Numbers that are not finite become `null`.
 
-mod colour;
+pub(crate) mod colour;
 pub mod figures;
-mod numbers;
+pub(crate) mod numbers;
 mod page;
 mod panel;
 pub mod picture;

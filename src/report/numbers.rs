@@ -1,7 +1,7 @@
 //! Numbers as a reader wants them.
 
 /// Three significant digits; plain where that is short, otherwise with an exponent.
-pub(super) fn significant(value: f64) -> String {
+pub(crate) fn significant(value: f64) -> String {
     if !value.is_finite() {
         return "not finite".into();
     }
@@ -22,7 +22,7 @@ pub(super) fn significant(value: f64) -> String {
 }
 
 /// [`significant`] without the zeros at its end.
-pub(super) fn short(value: f64) -> String {
+pub(crate) fn short(value: f64) -> String {
     let text = significant(value);
     let (mantissa, exponent) = text.split_once('e').unwrap_or((&text, ""));
     if !mantissa.contains('.') {
@@ -33,12 +33,12 @@ pub(super) fn short(value: f64) -> String {
 }
 
 /// [`significant`], or a dash.
-pub(super) fn optional(value: Option<f64>, show: impl Fn(f64) -> String) -> String {
+pub(crate) fn optional(value: Option<f64>, show: impl Fn(f64) -> String) -> String {
     value.map_or_else(|| "\u{2013}".into(), show)
 }
 
 /// Digits in groups of three.
-pub(super) fn count(value: u64) -> String {
+pub(crate) fn count(value: u64) -> String {
     let digits = value.to_string();
     let mut out = String::with_capacity(digits.len() + digits.len() / 3);
     for (i, digit) in digits.chars().enumerate() {
@@ -51,7 +51,7 @@ pub(super) fn count(value: u64) -> String {
 }
 
 /// Bytes in decimal units.
-pub(super) fn bytes(value: u64) -> String {
+pub(crate) fn bytes(value: u64) -> String {
     let size = value as f64;
     match value {
         0..1_000 => format!("{value} B"),

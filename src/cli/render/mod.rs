@@ -255,10 +255,10 @@ impl Render {
     }
 }
 
-fn is_built_in(surface: &str) -> bool {
+pub(super) fn is_built_in(surface: &str) -> bool {
     crate::reference::builtin::NAMES.contains(&surface)
 }
 
-fn absolute(path: &Path) -> Result<PathBuf> {
+pub(super) fn absolute(path: &Path) -> Result<PathBuf> {
     std::path::absolute(path).map_err(|e| Error::file(path, e))
 }
