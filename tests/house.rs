@@ -7,10 +7,12 @@ use std::process::Command;
 
 /// What each module of `src/` may import besides itself and [`ANYWHERE`]. `export` is the exporter's crate but for its
 /// `config`, which is our `config`'s own ground. A module that is missing here fails.
-const FLOW: [(&str, &[&str]); 31] = [
+const FLOW: [(&str, &[&str]); 32] = [
     ("error", &["export"]),
     ("config", &[]),
     ("query", &["error"]),
+    // Counts queries by the domain of an architecture.
+    ("outside", &["query"]),
     ("random", &[]),
     // An instruction set that the machine has not is an error of the user's.
     ("kernels", &["error"]),
@@ -46,7 +48,7 @@ const FLOW: [(&str, &[&str]); 31] = [
     ("inference", &["query", "kernels", "engine", "model", "export"]),
     ("bench", &["engine", "kernels", "model", "trainer", "dataset", "query", "random", "export"]),
     // Its rows leave as the metrics of results.
-    ("evaluate", &["query", "metrics", "lpips", "dataset", "random", "results"]),
+    ("evaluate", &["query", "metrics", "lpips", "dataset", "random", "results", "outside"]),
     ("onnx_material", &["query"]),
     ("golden", &["model", "query", "random", "export"]),
     ("artefacts", &["engine", "inference", "onnx_material", "query", "export"]),
@@ -60,7 +62,18 @@ const FLOW: [(&str, &[&str]); 31] = [
     // Runs and bundles are opened here; what answers for them is the caller's choice.
     (
         "render",
-        &["query", "random", "srgb", "reference", "metrics", "report", "checkpoint", "sampler", "export"],
+        &[
+            "query",
+            "random",
+            "srgb",
+            "reference",
+            "metrics",
+            "report",
+            "checkpoint",
+            "sampler",
+            "outside",
+            "export",
+        ],
     ),
     (
         "reproduce",
@@ -108,6 +121,7 @@ const EVERYTHING: &[&str] = &[
     "inference",
     "bench",
     "model",
+    "outside",
     "loss",
     "checkpoint",
     "trainer",

@@ -13,6 +13,7 @@ mod demo;
 mod engine;
 mod engines;
 mod examining;
+mod fitted;
 mod generating;
 mod house;
 mod inception;
