@@ -1,5 +1,9 @@
 //! Errors of an answerer on every split and level of a dataset, and its time per query.
 
+mod apart;
+
+pub use apart::{Apart, apart_table};
+
 use crate::dataset::{Dataset, SplitName};
 use crate::error::Result;
 use crate::lpips::Lpips;

@@ -23,6 +23,7 @@
 //! sampler ─ where the light of a query comes from: a mixture of lobes, fitted to the material's answers
 //!   │
 //! metrics, lpips (candle), evaluate, bench ─ errors by split and level, time per query, rates beside the machine's peak
+//!   │            outside ─ how many queries are outside of what a material was fitted for
 //!   │
 //! reproduce, results, chart ─ the paper's questions, what came of them, speed against accuracy
 //!   │
@@ -56,6 +57,7 @@ pub mod lpips;
 pub mod metrics;
 pub mod model;
 pub mod onnx_material;
+pub mod outside;
 pub mod query;
 pub mod random;
 pub mod reference;

@@ -11,6 +11,8 @@ const FLOW: [(&str, &[&str]); 32] = [
     ("error", &["export"]),
     ("config", &[]),
     ("query", &["error"]),
+    // Counts queries by the domain of an architecture.
+    ("outside", &["query"]),
     ("random", &[]),
     // An instruction set that the machine has not is an error of the user's.
     ("kernels", &["error"]),
@@ -46,7 +48,7 @@ const FLOW: [(&str, &[&str]); 32] = [
     ("inference", &["query", "kernels", "engine", "model", "export"]),
     ("bench", &["engine", "kernels", "model", "trainer", "dataset", "query", "random", "export"]),
     // Its rows leave as the metrics of results.
-    ("evaluate", &["query", "metrics", "lpips", "dataset", "random", "results"]),
+    ("evaluate", &["query", "metrics", "lpips", "dataset", "random", "results", "outside"]),
     ("onnx_material", &["query"]),
     ("golden", &["model", "query", "random", "export"]),
     ("artefacts", &["engine", "inference", "onnx_material", "query", "export"]),
@@ -60,7 +62,18 @@ const FLOW: [(&str, &[&str]); 32] = [
     // Runs and bundles are opened here; what answers for them is the caller's choice.
     (
         "render",
-        &["query", "random", "srgb", "reference", "metrics", "report", "checkpoint", "sampler", "export"],
+        &[
+            "query",
+            "random",
+            "srgb",
+            "reference",
+            "metrics",
+            "report",
+            "checkpoint",
+            "sampler",
+            "outside",
+            "export",
+        ],
     ),
     // Drawn as charts are.
     ("analyze", &["query", "render", "chart", "report", "export"]),
@@ -96,6 +109,26 @@ const FLOW: [(&str, &[&str]); 32] = [
             "export",
         ],
     ),
+    // Asks scenes, measures answers, trains, and says what came of it.
+    (
+        "fit",
+        &[
+            "query",
+            "random",
+            "kernels",
+            "metrics",
+            "reference",
+            "dataset",
+            "engine",
+            "model",
+            "checkpoint",
+            "trainer",
+            "evaluate",
+            "render",
+            "report",
+            "export",
+        ],
+    ),
     ("cli", EVERYTHING),
 ];
 const EVERYTHING: &[&str] = &[
@@ -110,6 +143,7 @@ const EVERYTHING: &[&str] = &[
     "inference",
     "bench",
     "model",
+    "outside",
     "loss",
     "checkpoint",
     "trainer",
@@ -127,6 +161,7 @@ const EVERYTHING: &[&str] = &[
     "render",
     "analyze",
     "stability",
+    "fit",
     "export",
 ];
 /// What every module may import but those of [`BARE`].
@@ -134,7 +169,7 @@ const ANYWHERE: [&str; 2] = ["error", "config"];
 /// Modules that import what [`FLOW`] lists and nothing else: others could be built on them alone.
 const BARE: [&str; 5] = ["query", "random", "kernels", "metrics", "srgb"];
 /// Where candle may be mentioned; everything else works without it.
-const CANDLE: [&str; 11] = [
+const CANDLE: [&str; 12] = [
     "error.rs",
     "kernels/custom_op.rs",
     "model/",
@@ -145,6 +180,7 @@ const CANDLE: [&str; 11] = [
     "golden.rs",
     "artefacts.rs",
     "stability/",
+    "fit/",
     "cli/",
 ];
 

@@ -14,6 +14,7 @@ mod demo;
 mod engine;
 mod engines;
 mod examining;
+mod fitted;
 mod generating;
 mod house;
 mod inception;

@@ -430,6 +430,7 @@ def refusals(consumers, bundle, folder):
 
 def main(consumers, variant, bundle, twin, folder):
     result = {"version": mi.__version__, "golden": golden(bundle), "twin": golden(twin)}
+    result["fitted"] = {name: golden(Path(folder) / name)[0] for name in ("window", "misplaced")}
     sampled = with_sampler(Path(bundle), folder / "sampled")
     result["sampling"] = {"cosine": sampling(bundle), "mixture": sampling(sampled)}
     result["pictures"] = {name: picture(bundle, name) for name in ("plane", "sphere")}

@@ -2,7 +2,7 @@
 //! `mitsuba_bsdf.py` measures, this file judges. Without network or Python the tests are skipped, and say so; so is the llvm
 //! variant where there is no LLVM 17 or newer.
 
-use crate::mitsuba;
+use crate::{fitted, mitsuba};
 use neumip::export::{Checkpoint, Contents};
 use neumip::golden;
 use serde_json::Value;
@@ -50,6 +50,11 @@ fn bundles(folder: &Path) -> [std::path::PathBuf; 2] {
     let answers = golden::answers(&checkpoint, golden::QUERIES).unwrap();
     let mut changed = checkpoint.clone();
     changed.tensors.get_mut("decoder.mlp.1.weight").unwrap().data[0] += CHANGED_WEIGHT;
+    let (_, fitted) = fitted::materials().swap_remove(0);
+    let of_fitted = golden::answers(&fitted, golden::QUERIES).unwrap();
+    for (name, checkpoint) in [("window", &fitted), ("misplaced", &fitted::misplaced(&fitted))] {
+        Contents::new(checkpoint, &of_fitted).write(&folder.join(name), false).unwrap();
+    }
     [("bundle", checkpoint), ("twin", changed)].map(|(name, checkpoint)| {
         let path = folder.join(name);
         Contents::new(&checkpoint, &answers).write(&path, false).unwrap();
@@ -87,6 +92,7 @@ fn measured(variant: &str) -> Option<Value> {
 fn judge(result: &Value) {
     assert_eq!(number(result, "/golden/1"), GOLDEN, "the bundle states another tolerance");
     holds(result, "/golden/0", "/twin/0", GOLDEN);
+    holds(result, "/fitted/window", "/fitted/misplaced", GOLDEN);
     for sampler in ["cosine", "mixture"] {
         let at = |name: &str| format!("/sampling/{sampler}/{name}");
         holds(result, &at("consistency"), &at("inconsistency"), CONSISTENCY);

@@ -57,7 +57,7 @@ fn trained() -> Checkpoint {
 }
 
 /// A preset with fresh weights, and an offset texture that is not 0.
-fn untrained(preset: &str, change: fn(&mut ModelConfig), resolution: [usize; 2]) -> Checkpoint {
+pub fn untrained(preset: &str, change: fn(&mut ModelConfig), resolution: [usize; 2]) -> Checkpoint {
     let mut model = Config::preset(preset).unwrap().model;
     change(&mut model);
     let architecture = Architecture::new(model, resolution).unwrap();
@@ -415,7 +415,7 @@ fn an_altered_file_of_a_bundle_is_refused_by_name() {
 /// What `check_bundle.py` prints.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Checked {
+pub struct Checked {
     queries: usize,
     /// Of what answered, for the one who reads a failure.
     #[allow(dead_code)]
@@ -428,13 +428,13 @@ struct Checked {
 }
 
 impl Checked {
-    fn differences(&self) -> Vec<f64> {
+    pub fn differences(&self) -> Vec<f64> {
         [self.material, self.decoder, self.reference].into_iter().chain(self.steps).collect()
     }
 }
 
 /// Runs `check_bundle.py` on the bundle in `folder`.
-fn check_in_python(folder: &Path, queries: &Golden) -> Result<Checked, String> {
+pub fn check_in_python(folder: &Path, queries: &Golden) -> Result<Checked, String> {
     let file = folder.join("queries.json");
     std::fs::write(&file, serde_json::to_vec(queries).unwrap()).unwrap();
     let repository = Path::new(env!("CARGO_MANIFEST_DIR"));

@@ -93,7 +93,7 @@ impl Domain {
     /// # Errors
     /// `Config`, naming the field.
     pub fn validate(&self, resolution: [usize; 2], coarsest: usize) -> Result<()> {
-        for axis in 0..2 {
+        for axis in [0, 1] {
             let (tile, corner, size) = (self.tile[axis], self.corner[axis], resolution[axis]);
             if tile < size || tile > crate::config::MAX_RESOLUTION || corner >= tile {
                 let problem = format!("{size} texels from {corner} on are no part of a tile of {tile}");
@@ -240,6 +240,28 @@ impl Architecture {
     /// The position and level that a fitted material answers in place of a query's; what was not fitted answers any.
     pub fn fitted(&self, u: [f32; 2], level: f32) -> ([f32; 2], f32) {
         self.guide().map_or((u, level), |guide| guide.lead(u, level))
+    }
+
+    /// The position and the level that answer a query, in words.
+    pub(crate) fn place_step(&self) -> String {
+        let Some(guide) = self.guide() else {
+            return format!(
+                "Wrap: u = u - floor(u). Clamp: level = min(max(level, 0), {}).",
+                self.coarsest()
+            );
+        };
+        let Guide { corner: [x, y], scale: [sx, sy], part, levels: [finest, coarsest], outside } = guide;
+        let clamp = format!("level = min(max(level, {finest}), {coarsest})");
+        if !guide.is_window() {
+            return format!("Wrap: u = u - floor(u). Clamp: {clamp}.");
+        }
+        let inside = [("v.x < 1", part[0]), ("v.y < 1", part[1])];
+        let inside: Vec<&str> = inside.iter().filter(|(_, part)| *part).map(|(test, _)| *test).collect();
+        format!(
+            "Window, in 32-bit floats: p = u - ({x}, {y}); v = (p - floor(p)) ({sx}, {sy}); u = v - floor(v). Level: where {}, \
+             {clamp}; elsewhere level = {outside}.",
+            inside.join(" and ")
+        )
     }
 
     /// In what a query is outside of what the material was fitted for.

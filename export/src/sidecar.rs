@@ -6,7 +6,7 @@ use crate::config::{
     Architecture, DecoderConfig, DirectionEncoding, InceptionConfig, OFFSET_TEXTURE, OutputSpace,
     OutputTransform, ParallaxConfig,
 };
-use crate::domain::{Domain, Guide};
+use crate::domain::Domain;
 use crate::error::{Error, Result};
 use crate::onnx::{Opset, Port};
 use crate::precision::{Precision, Rounding, Storage};
@@ -348,7 +348,7 @@ fn steps(architecture: &Architecture) -> Vec<String> {
     let model = &architecture.model;
     let [height, width] = architecture.finest_size();
     let mut steps = vec![
-        place_step(architecture),
+        architecture.place_step(),
         match &model.parallax {
             ParallaxConfig::None {} => "No parallax: u' = u.".into(),
             ParallaxConfig::Offset(offset) => format!(
@@ -395,28 +395,6 @@ fn steps(architecture: &Architecture) -> Vec<String> {
     output += " Then max(x, 0); 0 where wi or wo is on or below the horizon.";
     steps.push(output);
     steps
-}
-
-/// The position and the level that answer.
-fn place_step(architecture: &Architecture) -> String {
-    let Some(guide) = architecture.guide() else {
-        return format!(
-            "Wrap: u = u - floor(u). Clamp: level = min(max(level, 0), {}).",
-            architecture.coarsest()
-        );
-    };
-    let Guide { corner: [x, y], scale: [sx, sy], part, levels: [finest, coarsest], outside } = guide;
-    let clamp = format!("level = min(max(level, {finest}), {coarsest})");
-    if !guide.is_window() {
-        return format!("Wrap: u = u - floor(u). Clamp: {clamp}.");
-    }
-    let inside = [("v.x < 1", part[0]), ("v.y < 1", part[1])];
-    let inside: Vec<&str> = inside.iter().filter(|(_, part)| *part).map(|(test, _)| *test).collect();
-    format!(
-        "Window, in 32-bit floats: p = u - ({x}, {y}); v = (p - floor(p)) ({sx}, {sy}); u = v - floor(v). Level: where {}, \
-         {clamp}; elsewhere level = {outside}.",
-        inside.join(" and ")
-    )
 }
 
 fn decoder_step(inception: &InceptionConfig) -> String {

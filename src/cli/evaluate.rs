@@ -5,7 +5,9 @@ use crate::checkpoint;
 use crate::config::EngineKind;
 use crate::dataset::{Dataset, SplitName};
 use crate::error::{Error, Result};
-use crate::evaluate::{Cost, Row, TIMED_QUERIES, costs, error_table, motion_table, refusal, view_table};
+use crate::evaluate::{
+    Apart, Cost, Row, TIMED_QUERIES, apart_table, costs, error_table, motion_table, refusal, view_table,
+};
 use crate::inference::{Answerer, answerer};
 use crate::lpips::Lpips;
 use crate::model;
@@ -79,6 +81,9 @@ pub struct Evaluation {
     pub cost: Option<Cost>,
     /// The error table.
     pub rows: Vec<Row>,
+    /// Of a fitted material: how many queries of each split are outside of what it was fitted for, and the errors apart.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub fitted: Vec<Apart>,
 }
 
 impl Evaluate {
@@ -138,14 +143,14 @@ pub fn evaluate(
     for run in runs {
         let checkpoint = checkpoint::load(run)?;
         let architecture = &checkpoint.header.architecture;
-        if architecture.resolution != data.resolution() {
+        if architecture.tile() != data.resolution() {
             return Err(Error::file(
                 data.root(),
                 format!(
                     "has {:?} texels where {} was trained on {:?}",
                     data.resolution(),
                     run.display(),
-                    architecture.resolution
+                    architecture.tile()
                 ),
             ));
         }
@@ -163,6 +168,7 @@ pub fn evaluate(
         }
         rows.extend(view_table(&*material, data, by.lpips)?);
         rows.extend(motion_table(&*material, data, by.lpips)?);
+        let fitted = apart_table(&*material, architecture, data, splits)?;
         if material.support() != Support::Pointwise && !data.manifest().views.is_empty() {
             console.say(format!(
                 "{}: views and their sequences are left out: they are no regular grids",
@@ -183,6 +189,7 @@ pub fn evaluate(
             engine,
             cost: None,
             rows,
+            fitted,
         });
         materials.push(material);
     }
@@ -257,6 +264,20 @@ pub fn text_table(evaluations: &[Evaluation]) -> String {
         }
     }
     out += "\nmse and noise x 10^3; mse of linear RGB clamped to [0, 1]";
+    for (k, e) in evaluations.iter().enumerate().filter(|(_, e)| !e.fitted.is_empty()) {
+        out += &format!(
+            "\n\n[{}] by what it was fitted for and what it was not\n{:<split_width$} {:>10} {:>11}  outside",
+            k + 1,
+            "split",
+            "mse inside",
+            "mse outside"
+        );
+        for Apart { split, count, errors_inside, errors_outside } in &e.fitted {
+            let [inside, outside] =
+                [errors_inside, errors_outside].map(|errors| number(errors.map(|e| e.mse * MILLI), 4));
+            out += &format!("\n{split:<split_width$} {inside:>10} {outside:>11}  {}", count.described());
+        }
+    }
     out
 }
 

@@ -66,7 +66,7 @@ fn describe(path: &Path) -> Result<Value> {
 fn checkpoint(checkpoint: &Checkpoint) -> Value {
     let header = &checkpoint.header;
     let architecture = &header.architecture;
-    json!({
+    let mut value = json!({
         "kind": "checkpoint",
         "format": header.format,
         "material": header.material,
@@ -83,5 +83,12 @@ fn checkpoint(checkpoint: &Checkpoint) -> Value {
         "provenance": header.provenance,
         "errors": header.errors,
         "tensors": checkpoint.tensors.iter().map(|(n, t)| (n.clone(), json!(t.shape))).collect::<serde_json::Map<_, _>>(),
-    })
+    });
+    if let Some(domain) = &architecture.domain {
+        value["domain"] = json!({
+            "meaning": domain.explained(architecture.resolution, architecture.coarsest()),
+            "bounds": domain,
+        });
+    }
+    value
 }

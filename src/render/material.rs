@@ -4,9 +4,11 @@ use super::directions::{Cosine, Directions};
 use super::format::{MaterialSpec, Source};
 use crate::checkpoint;
 use crate::error::{Error, Result};
+use crate::outside::Count;
 use crate::query::{QueryBuffer, Reflectance, RgbImage, Support, above_horizon, unit};
 use crate::reference::{Reference, ReferenceOptions, Sampling, builtin};
 use neumip_export::checkpoint::Checkpoint;
+use neumip_export::config::Architecture;
 use neumip_export::{Measure, read_bundle};
 use sha2::{Digest, Sha256};
 use std::f32::consts::FRAC_1_PI;
@@ -35,6 +37,8 @@ pub struct Material {
     pub directions: Box<dyn Directions>,
     /// What it was trained on, where it is a model.
     pub trained_on: Option<String>,
+    /// Of a model that was fitted for a scene.
+    fitted: Option<Architecture>,
     answers: Answers,
 }
 
@@ -106,6 +110,7 @@ impl Material {
             notes: Vec::new(),
             directions,
             trained_on: Some(checkpoint.header.material.clone()),
+            fitted: architecture.domain.is_some().then(|| architecture.clone()),
             answers: Answers::Pointwise(answers),
         })
     }
@@ -140,6 +145,7 @@ impl Material {
             notes: reference.notes().iter().map(|note| format!("{}: {note}", reference.name())).collect(),
             directions: Box::new(Cosine),
             trained_on: None,
+            fitted: None,
             answers: Answers::Measured(Box::new(reference), spp),
         })
     }
@@ -155,6 +161,7 @@ impl Material {
             notes: Vec::new(),
             directions: Box::new(Cosine),
             trained_on: None,
+            fitted: None,
             answers: Answers::Pointwise(Box::new(Lambert(albedo))),
         }
     }
@@ -170,6 +177,15 @@ impl Material {
             Answers::Pointwise(_) => None,
             Answers::Measured(_, spp) => Some(spp),
         }
+    }
+
+    /// How many queries are outside of what it was fitted for; None if it was fitted for everything.
+    pub fn outside(&self, queries: &QueryBuffer) -> Option<Count> {
+        self.fitted.as_ref().map(|architecture| {
+            let mut count = Count::default();
+            count.add(architecture, queries);
+            count
+        })
     }
 
     /// Answers queries. `batch` numbers the buffers of a picture: no two draw the same random numbers.

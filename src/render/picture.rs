@@ -5,6 +5,7 @@ use super::material::Material;
 use super::scene::{Frame, Scene};
 use super::trace;
 use crate::error::{Error, Result};
+use crate::outside::Count;
 use crate::query::{QueryBuffer, RgbImage};
 use rayon::prelude::*;
 use std::ops::{ControlFlow, Range};
@@ -26,6 +27,9 @@ pub struct Picture {
     pub variance: Option<Vec<f32>>,
     /// What it took.
     pub cost: Cost,
+    /// How many queries of each of the scene's materials are outside of what it was fitted for; None for those that were fitted
+    /// for everything.
+    pub outside: Vec<Option<Count>>,
 }
 
 /// What a frame took.
@@ -93,6 +97,7 @@ impl Scene {
         let mut pixels = vec![[0.0f32; 3]; width * height];
         let mut variance = vec![0.0f32; width * height];
         let mut cost = Cost::default();
+        let mut outside: Vec<Option<Count>> = vec![None; self.materials.len()];
         let total = (width * height * frame.samples) as u64;
         for (number, batch) in self.batches(frame).into_iter().enumerate() {
             let traced = Instant::now();
@@ -106,6 +111,11 @@ impl Scene {
             let answers =
                 self.materials.iter().zip(&asked.queries).map(answer).collect::<Result<Vec<_>>>()?;
             cost.answering += answered.elapsed();
+            for ((sum, material), queries) in outside.iter_mut().zip(&self.materials).zip(&asked.queries) {
+                if let Some(count) = material.outside(queries) {
+                    sum.get_or_insert_default().join(&count);
+                }
+            }
             let mut rest = (&mut pixels[batch.clone()], &mut variance[batch]);
             let mut parts = Vec::with_capacity(asked.parts.len());
             for (k, part) in asked.parts.iter().enumerate() {
@@ -124,6 +134,7 @@ impl Scene {
         }
         cost.total = begun.elapsed();
         let measured = self.materials.iter().any(|material| material.rays().is_some());
-        Ok(Picture { rgb: RgbImage { height, width, pixels }, variance: measured.then_some(variance), cost })
+        let rgb = RgbImage { height, width, pixels };
+        Ok(Picture { rgb, variance: measured.then_some(variance), cost, outside })
     }
 }

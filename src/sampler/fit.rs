@@ -8,7 +8,9 @@ use super::network::{Layer, Network};
 use super::objective::{Objective, Scale};
 use crate::engine::FusedMaterial;
 use crate::error::{Error, Result};
+use crate::kernels::simd::Isa;
 use crate::random::{Random, Stream};
+use neumip_export::Precision;
 use neumip_export::checkpoint::Checkpoint;
 use neumip_export::sampler::{
     FORMAT, Frame, LOGITS, OUTPUTS_PER_LOBE, Sampler, SamplerConfig, SamplerHeader,
@@ -87,7 +89,11 @@ pub fn fit(checkpoint: &Checkpoint, options: &Options, listener: &mut Listener) 
         let problem = format!("{} is outside 1 to {MOST_STEPS}", options.steps);
         return Err(Error::config("sampler.steps", problem));
     }
-    let material = FusedMaterial::from_checkpoint(checkpoint)?;
+    let mut architecture = checkpoint.header.architecture.clone();
+    // Every query is led to one of the textures' own, so that those are what there is to sample.
+    architecture.domain = None;
+    let tensors = &checkpoint.tensors;
+    let material = FusedMaterial::new(&architecture, tensors, Precision::Single, Isa::chosen()?)?;
     let coarsest = material.architecture().coarsest();
     let config = SamplerConfig {
         features: material.architecture().model.texture.channels,

@@ -6,6 +6,7 @@ use super::console::{Console, short};
 use crate::config::EngineKind;
 use crate::error::{Error, Result};
 use crate::inference::answerer;
+use crate::outside::Count;
 use crate::render::builtin;
 use crate::render::compare::{Comparison, side_by_side};
 use crate::render::folder::Folder;
@@ -80,6 +81,8 @@ struct Finished {
     /// What it took; None if an earlier run finished it.
     cost: Option<Cost>,
     comparison: Option<Comparison>,
+    /// Queries outside of what each material was fitted for; empty if an earlier run finished it.
+    outside: Vec<Option<Count>>,
 }
 
 impl Render {
@@ -110,6 +113,7 @@ impl Render {
         let report = Report::new(&self.scene, &scene, self.seed, &frames);
         super::save_json(self.json.as_deref(), &report)?;
         console.say(report.summary(&self.out));
+        report.outside().for_each(|line| console.say(line));
         match report.table() {
             Some(table) => console.answer(table),
             None => Ok(()),
@@ -193,7 +197,7 @@ impl Render {
             if let Some(label) = label {
                 let image = frame_file::read(&folder.path(index, kind, "exr"))?;
                 write_whole(&png, &picture::png(&picture::srgb(&image, scene.file.stops)?)?)?;
-                frames.push(Finished { index, label, cost: None, comparison: None });
+                frames.push(Finished { index, label, cost: None, comparison: None, outside: Vec::new() });
                 continue;
             }
             let rendered = scene.render(&scene.frame(index)?, &mut |progress| {
@@ -211,7 +215,13 @@ impl Render {
             write_whole(&png, &picture::png(&picture::srgb(&picture.rgb, scene.file.stops)?)?)?;
             // Last: a frame with its EXR is finished.
             frame_file::write(&folder.path(index, kind, "exr"), &picture.rgb, self.half, &label)?;
-            frames.push(Finished { index, label, cost: Some(picture.cost), comparison: None });
+            frames.push(Finished {
+                index,
+                label,
+                cost: Some(picture.cost),
+                comparison: None,
+                outside: picture.outside,
+            });
         }
         meter.finish(rays);
         Ok(frames)

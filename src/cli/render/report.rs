@@ -2,6 +2,7 @@
 
 use super::super::console::short;
 use super::Finished;
+use crate::outside::Count;
 use crate::render::Scene;
 use crate::render::compare::Comparison;
 use serde::Serialize;
@@ -35,6 +36,9 @@ pub(super) struct Report {
 struct MaterialRow {
     name: String,
     is: String,
+    /// Of a fitted material: queries of the frames that were rendered now that it was not fitted for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    outside: Option<Count>,
 }
 
 #[derive(Debug, Serialize)]
@@ -59,12 +63,17 @@ impl Report {
         let queries = rows.iter().map(|row| row.queries).sum::<u64>();
         let rate = |seconds: f64| if seconds > 0.0 { queries as f64 / seconds } else { 0.0 };
         let compared: Option<Vec<Comparison>> = frames.iter().map(|frame| frame.comparison.clone()).collect();
-        let material =
-            |m: &crate::render::Material| MaterialRow { name: m.name.clone(), is: m.described.clone() };
+        let material = |(k, m): (usize, &crate::render::Material)| {
+            let mut outside: Option<Count> = None;
+            for count in frames.iter().filter_map(|frame| frame.outside.get(k)?.as_ref()) {
+                outside.get_or_insert_default().join(count);
+            }
+            MaterialRow { name: m.name.clone(), is: m.described.clone(), outside }
+        };
         Self {
             scene: name.into(),
             identity: scene.identity.clone(),
-            materials: scene.materials.iter().map(material).collect(),
+            materials: scene.materials.iter().enumerate().map(material).collect(),
             width: camera.width,
             height: camera.height.unwrap_or(camera.width),
             samples: camera.samples,
@@ -97,6 +106,14 @@ impl Report {
             short(self.queries_per_second, "queries"),
             short(self.answers_per_second, "queries"),
         )
+    }
+
+    /// How many queries each fitted material was not fitted for, a line each.
+    pub fn outside(&self) -> impl Iterator<Item = String> {
+        self.materials.iter().filter_map(|material| {
+            let count = material.outside.as_ref()?;
+            Some(format!("{}: outside of what it was fitted for: {}", material.name, count.described()))
+        })
     }
 
     /// The errors of the frames as text, if they were compared.

@@ -107,7 +107,7 @@ impl<'a> Subject<'a> {
         let header = &checkpoint.header;
         Self {
             material,
-            resolution: header.architecture.resolution,
+            resolution: header.architecture.tile(),
             coarsest: header.architecture.coarsest(),
             measure: header.measure,
             checkpoint: Some(checkpoint),
