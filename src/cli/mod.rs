@@ -62,6 +62,8 @@ enum Command {
     Analyze(analyze::Analyze),
     /// Train the smallest model that a scene cannot tell from the full one.
     Fit(fit::Fit),
+    /// Fit materials to scenes of every kind and put what it saves in a table.
+    FitTable(fit::table::FitTable),
     /// Ask the paper's questions again: tables, ablation, Inception decoder, speed against accuracy.
     Reproduce(reproduce::Reproduce),
     /// Examine a trained material, or show known failures, their cures, and that the cures hold.
@@ -94,6 +96,7 @@ impl Cli {
             Command::Render(command) => command.run(&console),
             Command::Analyze(command) => command.run(&console),
             Command::Fit(command) => command.run(&console),
+            Command::FitTable(command) => command.run(&console),
             Command::Reproduce(command) => command.run(&console),
             Command::Stability(command) => command.run(&console),
             Command::Chart(command) => command.run(&console),

@@ -106,6 +106,12 @@ impl Prior {
         self.ns.iter().zip(work).map(|(a, b)| a * b).sum::<f64>().max(LEAST_NS)
     }
 
+    /// Expected nanoseconds a query of a full model in single precision.
+    pub fn ns_of(&self, shape: &Shape) -> f64 {
+        let work = work(shape, 2.0, true);
+        self.ns.iter().zip(work).map(|(a, b)| a * b).sum::<f64>().max(LEAST_NS)
+    }
+
     /// Expected error over that of the full model, trained alike.
     pub fn error(&self, shape: &Shape, need: &Need) -> f64 {
         let losses = losses(shape, need.finest());

@@ -2,11 +2,8 @@
 
 use super::outcome::{FITTED, FULL, Outcome, ROUNDED, TRUNCATED};
 use super::search::Trial;
-use crate::error::Result;
-use crate::render::format::SceneFile;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
-use std::path::Path;
 
 /// A kind of scene, and how many times fewer bytes and nanoseconds are the floor and the goal.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,25 +52,17 @@ pub const KINDS: [Kind; 4] = [
     },
 ];
 
-/// Names and texts of the table's scenes: docs/scenes/fit.
-const SCENES: [(&str, &str); 8] = [
-    ("far-floor", include_str!("../../docs/scenes/fit/far-floor.json")),
-    ("far-ball", include_str!("../../docs/scenes/fit/far-ball.json")),
-    ("middle-floor", include_str!("../../docs/scenes/fit/middle-floor.json")),
-    ("middle-ball", include_str!("../../docs/scenes/fit/middle-ball.json")),
-    ("near-corner", include_str!("../../docs/scenes/fit/near-corner.json")),
-    ("near-slope", include_str!("../../docs/scenes/fit/near-slope.json")),
-    ("fixed-floor", include_str!("../../docs/scenes/fit/fixed-floor.json")),
-    ("fixed-ball", include_str!("../../docs/scenes/fit/fixed-ball.json")),
+/// The table's scenes, built in: two of each kind.
+pub const SCENES: [&str; 8] = [
+    "far-floor",
+    "far-ball",
+    "middle-floor",
+    "middle-ball",
+    "near-corner",
+    "near-slope",
+    "fixed-floor",
+    "fixed-ball",
 ];
-
-/// The table's scenes by name.
-///
-/// # Errors
-/// None for the scenes that are built in.
-pub fn scenes() -> Result<Vec<(&'static str, SceneFile)>> {
-    SCENES.iter().map(|(name, text)| Ok((*name, SceneFile::from_json(text, Path::new(name))?))).collect()
-}
 
 /// The kind of a scene.
 pub fn kind_of(scene: &str) -> Option<&'static Kind> {

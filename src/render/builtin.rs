@@ -5,12 +5,20 @@ use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
 /// Names and texts.
-const SCENES: [(&str, &str); 5] = [
+const SCENES: [(&str, &str); 13] = [
     ("plane", include_str!("../../docs/scenes/plane.json")),
     ("sphere", include_str!("../../docs/scenes/sphere.json")),
     ("moving-light", include_str!("../../docs/scenes/moving-light.json")),
     ("zoom", include_str!("../../docs/scenes/zoom.json")),
     ("still-life", include_str!("../../docs/scenes/still-life.json")),
+    ("far-floor", include_str!("../../docs/scenes/far-floor.json")),
+    ("far-ball", include_str!("../../docs/scenes/far-ball.json")),
+    ("middle-floor", include_str!("../../docs/scenes/middle-floor.json")),
+    ("middle-ball", include_str!("../../docs/scenes/middle-ball.json")),
+    ("near-corner", include_str!("../../docs/scenes/near-corner.json")),
+    ("near-slope", include_str!("../../docs/scenes/near-slope.json")),
+    ("fixed-floor", include_str!("../../docs/scenes/fixed-floor.json")),
+    ("fixed-ball", include_str!("../../docs/scenes/fixed-ball.json")),
 ];
 
 /// The names.

@@ -1,6 +1,7 @@
 //! `neumip fit`: a material that holds no more than a scene needs.
 
 mod open;
+pub mod table;
 
 use super::console::{Console, Meter};
 use crate::dataset::Dataset;
@@ -24,7 +25,7 @@ const PER_TEXEL: u64 = 1200;
 /// Train the smallest model that a scene cannot tell from the full one.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-    neumip fit data/metal --scene docs/scenes/fit/far-floor.json --target flip=full --out fits/far\n  \
+    neumip fit data/metal --scene far-floor --target flip=full --out fits/far\n  \
     neumip fit data/metal --full runs/improved --scene plane --target flip=0.05 --out fits/plane\n  \
     neumip fit data/metal --full runs/improved --scene sphere --budget-ns 60 --budget-bytes 40000 --out fits/sphere\n  \
     neumip export fits/far --out bundles/far --half --check")]

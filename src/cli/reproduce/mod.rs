@@ -1,6 +1,6 @@
 //! `neumip reproduce`: the paper's questions at a budget of one's own.
 
-mod machine;
+pub(super) mod machine;
 mod run;
 mod times;
 mod training;
