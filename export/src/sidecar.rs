@@ -449,9 +449,11 @@ fn sampler_steps(config: &SamplerConfig) -> Vec<String> {
 
 fn encoding_step(architecture: &Architecture) -> String {
     let encoding = &architecture.model.encoding;
+    let place =
+        if architecture.domain.is_some() { "the u of the first step" } else { "the wrapped u of the query" };
     let frequency = if encoding.pi { "2^k pi" } else { "2^k" };
     let mut step = format!(
-        "Encoding: p = 2 u - 1 with the wrapped u of the query, not u'. For k = 0, 1, ...: the sines of all \
+        "Encoding: p = 2 u - 1 with {place}, not u'. For k = 0, 1, ...: the sines of all \
          components times {frequency}, then the cosines. u: {} bands",
         architecture.u_bands()
     );
