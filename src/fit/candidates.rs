@@ -1,6 +1,6 @@
 //! Which sizes get a trial: those that are expected to be the best for what they cost.
 
-use super::goal::Goal;
+use super::goal::{Goal, Prefer};
 use super::need::Need;
 use super::prior::Prior;
 use super::shape::Shape;
@@ -16,10 +16,6 @@ const CHANNELS: [usize; 4] = [2, 3, 4, 6];
 const OFFSETS: [(usize, &[usize]); 2] = [(3, &[8]), (4, &[8, 8])];
 /// Levels beyond the finest asked one that may be left out too: what remains is interpolated.
 const COARSER: usize = 2;
-/// How much a factor of bytes counts beside one of nanoseconds: a half, since materials share memory with everything else and
-/// time with nothing.
-const BYTES: f64 = 0.5;
-
 /// A size with what it costs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Candidate {
@@ -45,8 +41,8 @@ impl Candidate {
     }
 
     /// What it costs: lower is cheaper.
-    pub fn cost(&self) -> f64 {
-        self.ns.ln() + BYTES * (self.bytes as f64).ln()
+    pub fn cost(&self, prefer: Prefer) -> f64 {
+        self.ns.ln() + prefer.bytes() * (self.bytes as f64).ln()
     }
 }
 
@@ -125,27 +121,28 @@ pub fn candidates(
         let problem = "no model holds both; each alone can be held, so raise one of them";
         return Err(Error::usage(format!("--budget-bytes, --budget-ns: {problem}")));
     }
-    all.sort_by(|a, b| a.cost().total_cmp(&b.cost()).then(a.shape.cmp(&b.shape)));
+    let cost = |c: &Candidate| c.cost(goal.prefer);
+    all.sort_by(|a, b| cost(a).total_cmp(&cost(b)).then(a.shape.cmp(&b.shape)));
     let mut front: Vec<Candidate> = Vec::new();
     for candidate in all {
         if front.last().is_none_or(|best| candidate.error < best.error) {
             front.push(candidate);
         }
     }
-    Ok(spread(front, count.max(1)))
+    Ok(spread(front, count.max(1), goal.prefer))
 }
 
 /// `count` of a front whose costs are as evenly spaced as it allows, its ends among them.
-fn spread(front: Vec<Candidate>, count: usize) -> Vec<Candidate> {
+fn spread(front: Vec<Candidate>, count: usize, prefer: Prefer) -> Vec<Candidate> {
     if front.len() <= count {
         return front;
     }
-    let (low, high) = (front[0].cost(), front[front.len() - 1].cost());
+    let (low, high) = (front[0].cost(prefer), front[front.len() - 1].cost(prefer));
     let mut chosen: Vec<usize> = Vec::new();
     for k in 0..count {
         let wanted = low + (high - low) * k as f64 / (count - 1).max(1) as f64;
         let free = (0..front.len()).filter(|i| !chosen.contains(i));
-        let near = |i: &usize| (front[*i].cost() - wanted).abs();
+        let near = |i: &usize| (front[*i].cost(prefer) - wanted).abs();
         chosen.extend(free.min_by(|a, b| near(a).total_cmp(&near(b))));
     }
     chosen.sort_unstable();
@@ -163,13 +160,16 @@ mod tests {
         candidates(&full, &whole(levels), &Prior::new().unwrap(), goal, count)
     }
 
-    const FREE: Goal = Goal { target: None, ns: None, bytes: None };
+    const FREE: Goal = Goal::FREE;
 
     #[test]
     fn candidates_go_from_the_cheapest_to_the_best() {
         let all = found(&FREE, [0.0, 6.0], 12).unwrap();
         assert_eq!(all.len(), 12);
-        assert!(all.windows(2).all(|pair| pair[0].cost() < pair[1].cost() && pair[0].error > pair[1].error));
+        assert!(
+            all.windows(2).all(|pair| pair[0].cost(Prefer::Both) < pair[1].cost(Prefer::Both)
+                && pair[0].error > pair[1].error)
+        );
         assert!(all[0].bytes * 50 < all[11].bytes && all[0].ns * 2.0 < all[11].ns, "{all:?}");
         assert_eq!(all, found(&FREE, [0.0, 6.0], 12).unwrap());
     }

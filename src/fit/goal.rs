@@ -85,6 +85,31 @@ impl fmt::Display for Target {
     }
 }
 
+/// What is to be saved first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Prefer {
+    /// Both: a factor of time counts as much as two of bytes, since a material shares memory with everything else, and time with
+    /// nothing.
+    #[default]
+    Both,
+    /// Time, and bytes only where they cost none.
+    Time,
+    /// Bytes, and time only where it costs none.
+    Bytes,
+}
+
+impl Prefer {
+    /// How much a factor of bytes counts beside one of nanoseconds.
+    pub fn bytes(self) -> f64 {
+        match self {
+            Self::Both => 0.5,
+            Self::Time => 0.05,
+            Self::Bytes => 10.0,
+        }
+    }
+}
+
 /// Bounds of a fit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -93,8 +118,15 @@ pub struct Goal {
     pub target: Option<Target>,
     /// Most nanoseconds a query, as the chart's machine takes them.
     pub ns: Option<f64>,
-    /// Most bytes as stored.
+    /// Most bytes in half precision.
     pub bytes: Option<usize>,
+    /// What is to be saved first.
+    pub prefer: Prefer,
+}
+
+impl Goal {
+    /// The best model, whatever it costs.
+    pub const FREE: Self = Self { target: None, ns: None, bytes: None, prefer: Prefer::Both };
 }
 
 impl Goal {
@@ -121,7 +153,7 @@ mod tests {
         for wrong in ["flip", "psnr=30", "flip=-1", "flip=nan", "mse=much"] {
             assert!(read(wrong).is_err(), "{wrong}");
         }
-        let goal = Goal { target: Some(read("flip=full").unwrap()), ns: None, bytes: None };
+        let goal = Goal { target: Some(read("flip=full").unwrap()), ..Goal::FREE };
         assert!((goal.bound(0.2).unwrap() - 0.21).abs() < 1e-12);
     }
 }

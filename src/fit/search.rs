@@ -104,7 +104,7 @@ pub fn search(
             run(runner, rung, samples, metric, &mut trials, judge)?;
         }
         runners.retain(|runner| runner.error.is_finite());
-        order(&mut runners, bound, rung);
+        order(&mut runners, bound, rung, goal);
         runners.truncate(if rung + 1 == finals { FINALS } else { runners.len().div_ceil(2).max(FINALS) });
     }
     if runners.is_empty() {
@@ -167,7 +167,7 @@ fn run(
 
 /// Those first that are to be kept. With a bound: what is expected to hold it, the cheapest first, then the rest by error; the
 /// best of all in the second place at least, as what is left if hopes fail.
-fn order(runners: &mut Vec<Runner>, bound: Option<f64>, rung: usize) {
+fn order(runners: &mut Vec<Runner>, bound: Option<f64>, rung: usize, goal: &Goal) {
     runners.sort_by(|a, b| a.error.total_cmp(&b.error));
     let Some(bound) = bound else { return };
     if runners.is_empty() {
@@ -175,13 +175,14 @@ fn order(runners: &mut Vec<Runner>, bound: Option<f64>, rung: usize) {
     }
     let best = runners.remove(0);
     let hopeful = |runner: &Runner| runner.error * HOPE[rung] <= bound;
+    let cost = |runner: &Runner| runner.candidate.cost(goal.prefer);
     runners.sort_by(|a, b| match (hopeful(a), hopeful(b)) {
-        (true, true) => a.candidate.cost().total_cmp(&b.candidate.cost()),
+        (true, true) => cost(a).total_cmp(&cost(b)),
         (false, false) => a.error.total_cmp(&b.error),
         (a, b) => b.cmp(&a),
     });
     // Among those that hold it the best has its place by cost.
-    let place = runners.iter().filter(|r| hopeful(r) && r.candidate.cost() < best.candidate.cost()).count();
+    let place = runners.iter().filter(|r| hopeful(r) && cost(r) < cost(&best)).count();
     runners.insert(if hopeful(&best) { place.min(FINALS - 1) } else { 0 }, best);
 }
 
@@ -205,7 +206,7 @@ mod tests {
 
     fn goal(most: Option<f64>) -> Goal {
         let target = most.map(|most| super::super::goal::Target { metric: Metric::Mse, most: Some(most) });
-        Goal { target, ns: None, bytes: None }
+        Goal { target, ..Goal::FREE }
     }
 
     /// Errors fall with width and with rungs, as trainings' do.

@@ -56,9 +56,23 @@ impl Shape {
     /// # Errors
     /// `Config` if it cannot be.
     pub fn model(&self, full: &ModelConfig, need: &Need) -> Result<Architecture> {
+        let mut model = self.sized(full);
+        model.texture.levels = Some(need.levels_from(self.finest));
+        Ok(Architecture::new(model, need.size)?)
+    }
+
+    /// A model of this size with everything else as in `full`, on a whole tile of \[H, W\] texels with all levels.
+    ///
+    /// # Errors
+    /// `Config` if it cannot be.
+    pub fn of_tile(&self, full: &ModelConfig, resolution: [usize; 2]) -> Result<Architecture> {
+        Ok(Architecture::new(self.sized(full), resolution)?)
+    }
+
+    fn sized(&self, full: &ModelConfig) -> ModelConfig {
         let mut model = full.clone();
         model.texture.finest = self.finest;
-        model.texture.levels = Some(need.levels_from(self.finest));
+        model.texture.levels = None;
         model.texture.channels = self.channels;
         model.decoder = DecoderConfig::Mlp { hidden: self.hidden.clone() };
         model.encoding.u.bands = self.bands;
@@ -72,6 +86,6 @@ impl Shape {
             }
             _ => ParallaxConfig::None {},
         };
-        Ok(Architecture::new(model, need.size)?)
+        model
     }
 }

@@ -7,7 +7,7 @@ use super::console::{Console, Meter};
 use crate::dataset::Dataset;
 use crate::error::{Error, Result};
 use crate::fit::folder::Folder;
-use crate::fit::goal::{Goal, Target};
+use crate::fit::goal::{Goal, Prefer, Target};
 use crate::fit::job::{Effort, Fitted, Job};
 use crate::fit::page;
 use crate::render::format::DEFAULT_MATERIAL;
@@ -54,6 +54,9 @@ pub struct Fit {
     /// Most bytes in half precision; K and M are understood.
     #[arg(long, value_parser = super::parse_bytes)]
     budget_bytes: Option<usize>,
+    /// What is to be saved first.
+    #[arg(long, value_enum, default_value_t)]
+    prefer: Prefer,
     /// The reference surface of the data: a built-in name, a material.json, or none to take the full model for the truth. By
     /// default what the data was rendered from, where that is built in.
     #[arg(long)]
@@ -163,8 +166,9 @@ impl Fit {
     pub fn run(self, console: &Console) -> Result<()> {
         super::check_json(self.json.as_deref())?;
         self.work.check()?;
-        let goal = Goal { target: self.target, ns: self.budget_ns, bytes: self.budget_bytes };
-        if goal == (Goal { target: None, ns: None, bytes: None }) {
+        let goal =
+            Goal { target: self.target, ns: self.budget_ns, bytes: self.budget_bytes, prefer: self.prefer };
+        if goal.target.is_none() && goal.ns.is_none() && goal.bytes.is_none() {
             let problem =
                 "say what is wanted: --target flip=0.02 (or flip=full), --budget-ns, --budget-bytes";
             return Err(Error::usage(problem));
