@@ -8,11 +8,12 @@ use super::tile::{Queries, Tile, stride_of};
 use crate::error::{Error, Result};
 use crate::kernels::rows;
 use crate::kernels::simd::Isa;
-use crate::kernels::taps;
+use crate::kernels::window::{self, Window};
 use crate::query::grid::{self, Mosaic};
 use crate::query::{QueryBuffer, Reflectance, RgbImage, Support, above_horizon};
 use neumip_export::checkpoint::Checkpoint;
 use neumip_export::config::{Architecture, OFFSET_TEXTURE, texture_name};
+use neumip_export::domain::Guide;
 use neumip_export::{Precision, Tensor};
 use rayon::prelude::*;
 use std::cell::RefCell;
@@ -238,26 +239,27 @@ impl FusedMaterial {
 
     /// Fills rows with the queries `start..end`.
     fn fill(&self, rows: &mut Queries, queries: &QueryBuffer, start: usize, end: usize) {
+        let isa = self.plan.isa;
         let stride = rows.level.len();
+        let guide = self.plan.architecture.guide();
+        let window = guide.filter(Guide::is_window);
         let Queries { u, level, wi, wo } = rows;
-        for (rows, pairs, wrap) in [(u, &queries.u, true), (wi, &queries.wi, false), (wo, &queries.wo, false)]
-        {
+        let pairs =
+            [(&mut *u, &queries.u, window.is_none()), (wi, &queries.wi, false), (wo, &queries.wo, false)];
+        for (rows, pairs, wrap) in pairs {
             let (x, y) = rows.split_at_mut(stride);
-            rows::split(self.plan.isa, &pairs[start..end], wrap, x, y);
+            rows::split(isa, &pairs[start..end], wrap, x, y);
         }
-        let coarsest = self.plan.architecture.coarsest() as f32;
+        let whole = [0.0, self.plan.architecture.coarsest() as f32];
+        let [finest, coarsest] = guide.map_or(whole, |guide| guide.levels);
         for (to, from) in level.iter_mut().zip(&queries.level[start..end]) {
-            *to = from.clamp(0.0, coarsest);
+            *to = from.clamp(finest, coarsest);
+        }
+        if let Some(Guide { corner, scale, part, outside, .. }) = window {
+            let (x, y) = u.split_at_mut(stride);
+            window::lead(isa, &Window { corner, scale, part, outside }, [x, y], level);
         }
         level[end - start..].fill(0.0);
-        if let Some(guide) = self.plan.architecture.guide() {
-            let (x, y) = rows.u.split_at_mut(stride);
-            for (k, at) in (start..end).enumerate() {
-                let (place, led) = guide.lead(queries.u[at], queries.level[at]);
-                [x[k], y[k]] = taps::wrap(place);
-                rows.level[k] = led;
-            }
-        }
     }
 }
 

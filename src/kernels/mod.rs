@@ -17,3 +17,4 @@ pub mod rows;
 pub mod simd;
 pub mod smooth;
 pub mod taps;
+pub mod window;
