@@ -33,6 +33,8 @@
 //!   │
 //! stability ─ known failures as probes: the naive form, the cure, the bound that guards it
 //!   │
+//! fit ─ a material that holds no more than a scene needs
+//!   │
 //! report, view, cli, neumip-export ─ pages, a bundle's viewer, commands, ONNX and textures for other renderers
 //! ```
 

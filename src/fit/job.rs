@@ -387,20 +387,23 @@ impl Job<'_> {
     }
 }
 
-/// The model in the smallest storage whose pictures' error is at most `most`; as it was trained if none holds it.
+/// The model in bytes if its pictures' error is at most `most` then, else in the half precision that trials were compared in; as
+/// it was trained only where half floats cannot hold it.
 fn stored(
     trained: Checkpoint,
     pictures: &Pictures,
     metric: Metric,
     most: f64,
 ) -> Result<(Checkpoint, Storage)> {
-    for storage in [Storage::BYTE, Storage::HALF] {
-        let Ok(rounded) = storage.round(trained.clone()) else { continue };
-        if metric.of(&mean(pictures, &material(&rounded, storage)?)?)? <= most {
-            return Ok((rounded, storage));
-        }
+    if let Ok(rounded) = Storage::BYTE.round(trained.clone())
+        && metric.of(&mean(pictures, &material(&rounded, Storage::BYTE)?)?)? <= most
+    {
+        return Ok((rounded, Storage::BYTE));
     }
-    Ok((trained, Storage::SINGLE))
+    match Storage::HALF.round(trained.clone()) {
+        Ok(rounded) => Ok((rounded, Storage::HALF)),
+        Err(_) => Ok((trained, Storage::SINGLE)),
+    }
 }
 
 fn rows(models: &[(&str, &Checkpoint, Storage, String, f64)], pictures: &Pictures) -> Result<Vec<Row>> {

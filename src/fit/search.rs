@@ -132,6 +132,20 @@ pub fn search(
     }
 }
 
+/// What is kept of a trial.
+pub fn trial_of(candidate: &Candidate, rung: usize, samples: u64, tried: &Tried) -> Trial {
+    Trial {
+        shape: candidate.shape.to_string(),
+        rung,
+        samples,
+        seconds: tried.seconds,
+        bytes: candidate.bytes,
+        ns: candidate.ns,
+        flip: tried.errors.flip,
+        mse: tried.errors.mse,
+    }
+}
+
 fn run(
     runner: &mut Runner,
     rung: usize,
@@ -149,16 +163,7 @@ fn run(
         }
         Err(other) => return Err(other),
     };
-    trials.push(Trial {
-        shape: runner.candidate.shape.to_string(),
-        rung,
-        samples: presented,
-        seconds: tried.seconds,
-        bytes: runner.candidate.bytes,
-        ns: runner.candidate.ns,
-        flip: tried.errors.flip,
-        mse: tried.errors.mse,
-    });
+    trials.push(trial_of(&runner.candidate, rung, presented, &tried));
     runner.error = metric.of(&tried.errors)?;
     runner.tensors = Some(tried.tensors);
     runner.errors = Some(tried.errors);

@@ -6,10 +6,14 @@ pub mod table;
 use super::console::{Console, Meter};
 use crate::dataset::Dataset;
 use crate::error::{Error, Result};
+use crate::fit::divide::fit_all;
 use crate::fit::folder::Folder;
 use crate::fit::goal::{Goal, Prefer, Target};
 use crate::fit::job::{Effort, Fitted, Job};
+use crate::fit::outcome::{FITTED, Outcome};
 use crate::fit::page;
+use crate::fit::truth::Truth;
+use crate::render::Scene;
 use crate::render::format::DEFAULT_MATERIAL;
 use clap::Args;
 use neumip_export::Storage;
@@ -27,40 +31,42 @@ const PER_TEXEL: u64 = 1200;
 #[command(after_help = "Examples:\n  \
     neumip fit data/metal --scene far-floor --target flip=full --out fits/far\n  \
     neumip fit data/metal --full runs/improved --scene plane --target flip=0.05 --out fits/plane\n  \
-    neumip fit data/metal --full runs/improved --scene sphere --budget-ns 60 --budget-bytes 40000 --out fits/sphere\n  \
+    neumip fit data/metal --full runs/improved --scene sphere --budget-ns 60 --budget-bytes 40K --out fits/sphere\n  \
+    neumip fit floor=data/rocks ball=data/metal --scene two.json --total-bytes 100K --out fits/two\n  \
     neumip export fits/far --out bundles/far --half --check")]
 pub struct Fit {
-    /// The dataset of the material.
-    data: PathBuf,
+    /// The dataset of the material that objects without one have; for others, and for several, NAME=DATA.
+    #[arg(required = true)]
+    data: Vec<String>,
     /// A scene.json, or a built-in scene.
     #[arg(long)]
     scene: String,
-    /// The folder of the fit; the same command goes on where it was stopped.
+    /// The folder of the fit, with a folder for each of several materials; the same command goes on where it was stopped.
     #[arg(long)]
     out: PathBuf,
-    /// The full model: a run, bundle or checkpoint. Without it one is trained on the data.
+    /// The full model: a run, bundle or checkpoint; NAME=RUN where DATA has a name. Without it one is trained on the data.
     #[arg(long)]
-    full: Option<PathBuf>,
-    /// The material of the scene that is fitted; by default that of objects without one.
-    #[arg(long, default_value = DEFAULT_MATERIAL)]
-    material: String,
+    full: Vec<String>,
     /// The smallest model whose error of the scene's pictures is at most this: flip=0.02, mse=1e-3, or flip=full for no more than
     /// 5 % above the full model's. Without it the best model within the budgets.
     #[arg(long)]
     target: Option<Target>,
-    /// Most nanoseconds a query, as the machine of results/ takes them on one thread.
+    /// Most nanoseconds a query, as the machine of docs/fit/FIT.md takes them on one thread.
     #[arg(long)]
     budget_ns: Option<f64>,
     /// Most bytes in half precision; K and M are understood.
     #[arg(long, value_parser = super::parse_bytes)]
     budget_bytes: Option<usize>,
+    /// Most bytes of all materials together, divided by what each contributes to the pictures' error.
+    #[arg(long, value_parser = super::parse_bytes, conflicts_with_all = ["target", "budget_ns", "budget_bytes"])]
+    total_bytes: Option<usize>,
     /// What is to be saved first.
     #[arg(long, value_enum, default_value_t)]
     prefer: Prefer,
-    /// The reference surface of the data: a built-in name, a material.json, or none to take the full model for the truth. By
-    /// default what the data was rendered from, where that is built in.
+    /// The reference surface of the data: a built-in name, a material.json, or none to take the full model for the truth; NAME=
+    /// where DATA has a name. By default what the data was rendered from, where that is built in.
     #[arg(long)]
-    surface: Option<String>,
+    surface: Vec<String>,
     #[command(flatten)]
     work: Work,
     /// Replace a fit of other settings.
@@ -150,15 +156,33 @@ impl Work {
 
 /// What a folder is of.
 #[derive(Serialize)]
-struct Settings<'a> {
-    version: &'a str,
+struct Settings {
+    version: &'static str,
     data: String,
     scene: String,
-    full: Option<&'a Path>,
-    material: &'a str,
-    surface: Option<&'a str>,
+    full: Option<PathBuf>,
+    material: String,
+    surface: Option<String>,
     goal: Goal,
+    total: Option<usize>,
     work: String,
+}
+
+/// A material that is fitted, before anything is trained.
+struct Subject {
+    name: String,
+    data: Dataset,
+    full: Option<PathBuf>,
+    surface: Option<String>,
+    folder: Folder,
+}
+
+/// A subject with its full model and its truth.
+struct Ready {
+    subject: Subject,
+    full: open::Full,
+    truth: Truth,
+    training: u64,
 }
 
 impl Fit {
@@ -166,104 +190,176 @@ impl Fit {
     pub fn run(self, console: &Console) -> Result<()> {
         super::check_json(self.json.as_deref())?;
         self.work.check()?;
+        let goal = self.goal()?;
+        let subjects = self.subjects(goal)?;
+        let mut ready = Vec::new();
+        for subject in subjects {
+            let texels = (subject.data.resolution()[0] * subject.data.resolution()[1]) as u64;
+            let training = self.work.training.unwrap_or(PER_TEXEL * texels);
+            let own = subject.folder.root().join("full");
+            let path = subject.full.as_deref();
+            let full = open::full(path, &subject.data, &own, (training, self.work.seed), console)?;
+            let truth = open::truth(subject.surface.as_deref(), &subject.data, &full, console)?;
+            ready.push(Ready { subject, full, truth, training });
+        }
+        let models = ready.iter().map(|r| (r.subject.name.clone(), r.full.path.clone())).collect();
+        let mut scene = open::scene(&self.scene, &models, self.work.seed)?;
+        let name = scene_name(&self.scene);
+        let jobs =
+            ready.iter().map(|ready| self.job(ready, &name, &scene, goal)).collect::<Result<Vec<_>>>()?;
+        let told = Told::new(console);
+        let watch = |label: &str, done: f64| told.tell(label, done);
+        let fitted = match (self.total_bytes, jobs.as_slice()) {
+            (Some(total), jobs) => fit_all(jobs, &mut scene, total, &watch),
+            (None, jobs) => jobs.iter().map(|job| job.run(&mut scene, &watch)).collect(),
+        };
+        told.finish();
+        let fitted = fitted?;
+        for (fitted, ready) in fitted.iter().zip(&ready) {
+            ready.subject.folder.write(fitted, &ready.full.checkpoint, scene.file.stops)?;
+            if !self.keep {
+                for path in Job::workings(ready.subject.folder.root()) {
+                    let _ = std::fs::remove_dir_all(path);
+                }
+            }
+        }
+        let outcomes: Vec<&Outcome> = fitted.iter().map(|fitted| &fitted.outcome).collect();
+        match outcomes.as_slice() {
+            [one] => super::save_json(self.json.as_deref(), one)?,
+            all => super::save_json(self.json.as_deref(), &all)?,
+        }
+        for (fitted, ready) in fitted.iter().zip(&ready) {
+            say(fitted, ready.subject.folder.root(), console)?;
+        }
+        self.held(&fitted, &ready)
+    }
+
+    fn goal(&self) -> Result<Goal> {
         let goal =
             Goal { target: self.target, ns: self.budget_ns, bytes: self.budget_bytes, prefer: self.prefer };
-        if goal.target.is_none() && goal.ns.is_none() && goal.bytes.is_none() {
-            let problem =
-                "say what is wanted: --target flip=0.02 (or flip=full), --budget-ns, --budget-bytes";
+        let budgets = [goal.ns.is_some(), goal.bytes.is_some(), self.total_bytes.is_some()];
+        if goal.target.is_none() && !budgets.contains(&true) {
+            let problem = "say what is wanted: --target flip=0.02 (or flip=full), --budget-ns, --budget-bytes, or \
+                           --total-bytes for several materials";
             return Err(Error::usage(problem));
         }
-        if goal.ns.is_some_and(|ns| !(ns > 0.0 && ns.is_finite())) {
-            return Err(Error::usage(format!("--budget-ns {}: is not above 0", goal.ns.unwrap_or(0.0))));
+        if let Some(ns) = goal.ns.filter(|ns| !(*ns > 0.0 && ns.is_finite())) {
+            return Err(Error::usage(format!("--budget-ns {ns}: is not above 0")));
         }
-        let data = Dataset::open(&self.data)?;
-        // The scene is read before anything is made.
-        let (file, _) = crate::render::builtin::scene(&self.scene)?;
-        let settings = Settings {
-            version: env!("CARGO_PKG_VERSION"),
-            data: data.identity()?,
-            scene: serde_json::to_string(&file).map_err(|e| Error::config("scene", e))?,
-            full: self.full.as_deref(),
-            material: &self.material,
-            surface: self.surface.as_deref(),
-            goal,
-            work: format!("{:?}", self.work),
+        Ok(goal)
+    }
+
+    /// The materials that are named, with their folders. The scene is read before anything is made.
+    fn subjects(&self, goal: Goal) -> Result<Vec<Subject>> {
+        let (file, path) = crate::render::builtin::scene(&self.scene)?;
+        let named = |texts: &[String], flag: &str| -> Result<BTreeMap<String, String>> {
+            let mut all = BTreeMap::new();
+            for text in texts {
+                let (name, value) = text.split_once('=').unwrap_or((DEFAULT_MATERIAL, text));
+                if all.insert(name.to_string(), value.to_string()).is_some() {
+                    return Err(Error::usage(format!("{flag} {text}: {name} is named twice")));
+                }
+            }
+            Ok(all)
         };
-        let folder = Folder::open(&self.out, &settings, self.force)?;
-        let texels = (data.resolution()[0] * data.resolution()[1]) as u64;
-        let training = self.work.training.unwrap_or(PER_TEXEL * texels);
-        let own = folder.root().join("full");
-        let full = open::full(self.full.as_deref(), &data, &own, (training, self.work.seed), console)?;
-        let models = BTreeMap::from([(self.material.clone(), full.path.clone())]);
-        let mut scene = open::scene(&self.scene, &models, self.work.seed)?;
-        let truth = open::truth(self.surface.as_deref(), &data, &full, console)?;
-        let place = scene.materials.iter().position(|material| material.name == self.material);
-        let name = scene_name(&self.scene);
-        let job = Job {
-            name: &name,
-            material: place
-                .ok_or_else(|| Error::usage(format!("--material {}: is not seen", self.material)))?,
+        let data = named(&self.data, "DATA")?;
+        let (mut full, mut surface) = (named(&self.full, "--full")?, named(&self.surface, "--surface")?);
+        let several = data.len() > 1;
+        let mut subjects = Vec::new();
+        for (name, data) in data {
+            if !file.objects.iter().any(|object| object.material == name) {
+                let problem = format!("no object of {} has the material {name}", path.display());
+                return Err(Error::usage(format!("{problem}; {}", open::names(&file))));
+            }
+            let data = Dataset::open(&data)?;
+            let (full, surface) = (full.remove(&name).map(PathBuf::from), surface.remove(&name));
+            let settings = Settings {
+                version: env!("CARGO_PKG_VERSION"),
+                data: data.identity()?,
+                scene: serde_json::to_string(&file).map_err(|e| Error::config("scene", e))?,
+                full: full.clone(),
+                material: name.clone(),
+                surface: surface.clone(),
+                goal,
+                total: self.total_bytes,
+                work: format!("{:?}", self.work),
+            };
+            let root = if several { self.out.join(&name) } else { self.out.clone() };
+            let folder = Folder::open(&root, &settings, self.force)?;
+            subjects.push(Subject { name, data, full, surface, folder });
+        }
+        if let Some((name, _)) = full.iter().chain(&surface).next() {
+            return Err(Error::usage(format!(
+                "--full or --surface {name}=: DATA has no material of that name"
+            )));
+        }
+        Ok(subjects)
+    }
+
+    fn job<'a>(&self, ready: &'a Ready, scene_name: &'a str, scene: &Scene, goal: Goal) -> Result<Job<'a>> {
+        let Ready { subject, full, truth, training } = ready;
+        let place = scene.materials.iter().position(|material| material.name == subject.name);
+        let seen = || Error::usage(format!("DATA {}: the scene has no such material", subject.name));
+        Ok(Job {
+            name: scene_name,
+            material: place.ok_or_else(seen)?,
             full: &full.checkpoint,
             config: &full.config,
             trained: full.trained,
-            truth: &truth,
-            data: Some(&data),
+            truth,
+            data: Some(&subject.data),
             goal,
-            effort: self.work.effort(full.trained.map_or(training, |(samples, _)| samples)),
-            folder: folder.root(),
-        };
-        let told = Told::new(console);
-        let fitted = job.run(&mut scene, &|label, done| told.tell(label, done));
-        told.finish();
-        let fitted = fitted?;
-        folder.write(&fitted, &full.checkpoint, scene.file.stops)?;
-        if !self.keep {
-            for path in Job::workings(folder.root()) {
-                let _ = std::fs::remove_dir_all(path);
-            }
-        }
-        super::save_json(self.json.as_deref(), &fitted.outcome)?;
-        self.say(&fitted, console)
+            effort: self.work.effort(full.trained.map_or(*training, |(samples, _)| samples)),
+            folder: subject.folder.root(),
+        })
     }
 
-    fn say(&self, fitted: &Fitted, console: &Console) -> Result<()> {
-        let outcome = &fitted.outcome;
-        let mut lines =
-            vec![format!("{:<22} {:>9} {:>7} {:>8} {:>8} {:>8}", "", "bytes", "FLOPs", "ns", "flip", "mse")];
-        for row in &outcome.rows {
-            let flip = row.errors.flip.map_or("-".into(), |v| format!("{v:.4}"));
-            lines.push(format!(
-                "{:<22} {:>9} {:>7} {:>8.1} {flip:>8} {:>8.5}",
-                row.name, row.bytes, row.flops, row.cost.ns_per_query, row.errors.mse
-            ));
-        }
-        lines.push(page::verdict(outcome));
-        console.answer(lines.join("\n"))?;
-        let root = self.out.display();
-        if let (false, Some(bound)) = (outcome.holds, outcome.bound) {
-            let metric = outcome.goal.metric();
-            let reached = match outcome.row(crate::fit::outcome::FITTED) {
-                Some(row) => metric.of(&row.errors)?,
-                None => f64::NAN,
+    /// An error for the first target that is not held.
+    fn held(&self, fitted: &[Fitted], ready: &[Ready]) -> Result<()> {
+        for (fitted, ready) in fitted.iter().zip(ready) {
+            let outcome = &fitted.outcome;
+            let (false, Some(bound), Some(row)) = (outcome.holds, outcome.bound, outcome.row(FITTED)) else {
+                continue;
             };
-            let name = metric.name();
+            let metric = outcome.goal.metric();
+            let (name, reached) = (metric.name(), metric.of(&row.errors)?);
+            let root = ready.subject.folder.root().display();
             let problem = format!(
-                "no model within the budgets reaches {name}={bound:.4}: the nearest has {reached:.4} ({}) and is in {root}; \
-                 --target {name}={reached:.4} would be held, and more --training, --unique or a wider --full may reach further",
-                outcome.row(crate::fit::outcome::FITTED).map_or("", |row| &row.shape)
+                "no model within the budgets reaches {name}={bound:.4}: the nearest has {reached:.4} ({}) and is in {root}; --target \
+                 {name}={reached:.4} would be held, and more --training, --unique or a wider --full may reach further",
+                row.shape
             );
             return Err(Error::Diverged(problem));
         }
-        let flag = match fitted.storage {
-            Storage::BYTE => " --int8",
-            Storage::HALF => " --half",
-            _ => "",
-        };
-        console.say(format!(
-            "{root}: see report.html; neumip export {root} --out BUNDLE{flag} --check hands it over"
-        ));
         Ok(())
     }
+}
+
+fn say(fitted: &Fitted, root: &Path, console: &Console) -> Result<()> {
+    let outcome = &fitted.outcome;
+    let mut lines = vec![format!(
+        "{:<22} {:>9} {:>7} {:>8} {:>8} {:>8}",
+        outcome.material, "bytes", "FLOPs", "ns", "flip", "mse"
+    )];
+    for row in &outcome.rows {
+        let flip = row.errors.flip.map_or("-".into(), |v| format!("{v:.4}"));
+        lines.push(format!(
+            "{:<22} {:>9} {:>7} {:>8.1} {flip:>8} {:>8.5}",
+            row.name, row.bytes, row.flops, row.cost.ns_per_query, row.errors.mse
+        ));
+    }
+    lines.push(page::verdict(outcome));
+    console.answer(lines.join("\n"))?;
+    let flag = match fitted.storage {
+        Storage::BYTE => " --int8",
+        Storage::HALF => " --half",
+        _ => "",
+    };
+    let root = root.display();
+    console.say(format!(
+        "{root}: see report.html; neumip export {root} --out BUNDLE{flag} --check hands it over"
+    ));
+    Ok(())
 }
 
 /// The name of a scene's file, or of a built-in scene.

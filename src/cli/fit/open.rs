@@ -103,8 +103,8 @@ pub fn scene(spec: &str, models: &BTreeMap<String, PathBuf>, seed: u64) -> Resul
         } else if file.objects.iter().any(|object| object.material == *name) {
             file.materials.insert(name.clone(), MaterialSpec::model(&model));
         } else {
-            let names = materials(&file).join(", ");
-            let problem = format!("no object of {} has the material {name}; it has {names}", path.display());
+            let problem =
+                format!("no object of {} has the material {name}; {}", path.display(), names(&file));
             return Err(Error::usage(problem));
         }
     }
@@ -116,12 +116,12 @@ pub fn scene(spec: &str, models: &BTreeMap<String, PathBuf>, seed: u64) -> Resul
     Scene::open(file, &path, &OpenOptions { default_material, seed, engine: &engine })
 }
 
-/// Names of the materials of a scene's objects.
-fn materials(file: &SceneFile) -> Vec<String> {
-    let mut names: Vec<String> = file.objects.iter().map(|object| object.material.clone()).collect();
-    names.sort();
+/// The materials of a scene's objects, in words.
+pub fn names(file: &SceneFile) -> String {
+    let mut names: Vec<&str> = file.objects.iter().map(|object| object.material.as_str()).collect();
+    names.sort_unstable();
     names.dedup();
-    names
+    format!("its objects have {}", names.join(", "))
 }
 
 /// Who knows the answers: the surface of `surface`, that of the data where it is built in, else the full model.
