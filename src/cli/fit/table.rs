@@ -12,7 +12,7 @@ use crate::fit::folder::Folder;
 use crate::fit::goal::{Goal, Metric, Prefer, Target};
 use crate::fit::job::{Effort, Job};
 use crate::fit::outcome::Outcome;
-use crate::fit::table::{Cell, KINDS, SCENES, Table, kind_of};
+use crate::fit::table::{Cell, SCENES, Table, kind_of};
 use crate::fit::{page, prior::Prior, shape::Shape};
 use crate::reference::builtin;
 use crate::render::format::DEFAULT_MATERIAL;
@@ -107,8 +107,8 @@ impl FitTable {
         }
         let full = Scale {
             resolution: 128,
-            unique: 100,
-            presented: 1200,
+            unique: 200,
+            presented: 4800,
             fit: Effort::default().unique,
             picture_spp: 64,
             materials: self.materials.clone(),
@@ -209,21 +209,19 @@ impl FitTable {
     }
 }
 
-/// The smallest model that is as good as the full one, the fastest where time alone is asked for; from near the best one at an
-/// eighth of the bytes in no more time.
+/// The fastest model that is as good as the full one in the bytes of the kind's goal; from near, where time is not asked for, the
+/// best one in those bytes and no more time.
 fn goal(scene: &str, full: &open::Full) -> Result<Goal> {
-    let target = Some(Target { metric: Metric::Flip, most: None });
-    let near = &KINDS[2];
     let kind = kind_of(scene).ok_or_else(|| Error::config(scene, "is no scene of the table"))?;
-    if kind.name != near.name {
-        let prefer = if kind.bytes[1] > 1.0 { Prefer::Both } else { Prefer::Time };
-        return Ok(Goal { target, prefer, ..Goal::FREE });
-    }
     let architecture = &full.checkpoint.header.architecture;
+    let bytes = (kind.bytes[1] > 1.0).then(|| (architecture.bytes() as f64 / kind.bytes[1]) as usize);
+    if kind.ns[1] > 1.0 {
+        let target = Some(Target { metric: Metric::Flip, most: None });
+        return Ok(Goal { target, ns: None, bytes, prefer: Prefer::Time });
+    }
     let shape = Shape::of(&architecture.model)
         .ok_or_else(|| Error::config("model.decoder", "is no fully connected decoder"))?;
-    let bytes = (architecture.bytes() as f64 / near.bytes[1]) as usize;
-    Ok(Goal { ns: Some(Prior::new()?.ns_of(&shape)), bytes: Some(bytes), ..Goal::FREE })
+    Ok(Goal { ns: Some(Prior::new()?.ns_of(&shape)), bytes, ..Goal::FREE })
 }
 
 fn settings(scale: &Scale, quick: bool, seed: u64) -> String {
