@@ -160,6 +160,12 @@ pub fn refused(folder: &Path, cases: &[Refusal]) {
     }
 }
 
+/// The exit code of a line that fails, and what it complains of.
+pub fn complaint(folder: &Path, line: &str) -> (Option<i32>, String) {
+    let Answer { code, complained, .. } = neumip(folder, line);
+    (code, complained)
+}
+
 #[test]
 fn bad_materials_are_refused() {
     let workshop = workshop();
@@ -701,6 +707,12 @@ fn interrupted(folder: &Path, line: &str, sign: &str) -> Answer {
         std::thread::sleep(Duration::from_millis(1));
     }
     answer(child.wait_with_output().unwrap())
+}
+
+/// The exit code of a line that is interrupted as soon as a file is there.
+#[cfg(unix)]
+pub fn stopped(folder: &Path, line: &str, sign: &str) -> Option<i32> {
+    interrupted(folder, line, sign).code
 }
 
 /// One line that says how to go on.

@@ -15,6 +15,7 @@ mod engine;
 mod engines;
 mod examining;
 mod fitted;
+mod fitting;
 mod generating;
 mod house;
 mod inception;

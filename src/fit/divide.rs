@@ -77,7 +77,7 @@ pub fn fit_all(jobs: &[Job], scene: &mut Scene, total: usize, watch: &Watch) -> 
         for candidate in job.candidates(&prepared, &Goal { bytes: Some(total), ..job.goal })? {
             let mut start = None;
             for (rung, share) in SHARES.iter().enumerate().take(RUNG + 1) {
-                let presented = (job.effort.training as f64 * share) as u64;
+                let presented = job.presented(*share);
                 let attempt = job.attempt(&prepared, &candidate, (rung, presented), tensors(&start), watch);
                 match attempt {
                     Ok(tried) => {
@@ -112,7 +112,7 @@ pub fn fit_all(jobs: &[Job], scene: &mut Scene, total: usize, watch: &Watch) -> 
     for ((job, trying), place) in jobs.iter().zip(all).zip(chosen) {
         let Trying { prepared, mut tried, mut trials } = trying;
         let (candidate, start) = tried.swap_remove(place);
-        let presented = (job.effort.training as f64 * SHARES[last]) as u64;
+        let presented = job.presented(SHARES[last]);
         let done = job.attempt(&prepared, &candidate, (last, presented), Some(&start.tensors), watch)?;
         trials.push(trial_of(&candidate, last, presented, &done));
         let found = Found { candidate, tensors: done.tensors, errors: done.errors, trials, holds: true };

@@ -11,7 +11,6 @@
 //! | `fit.json`, `report.html` | every figure; the same to look at |
 
 use super::job::Fitted;
-use super::outcome::FITTED;
 use super::page;
 use crate::error::{Error, Result};
 use crate::fit::model::material;
@@ -53,7 +52,10 @@ impl Folder {
     pub fn open(root: &Path, settings: &impl Serialize, force: bool) -> Result<Self> {
         let this = Self { root: root.to_path_buf() };
         let path = root.join(SETTINGS);
-        let wanted = serde_json::to_value(settings).map_err(|e| Error::file(&path, e))?;
+        let failed = |e: serde_json::Error| Error::file(&path, e);
+        // Both have gone through a text, where a number may lose its last bit.
+        let text = serde_json::to_string(settings).map_err(failed)?;
+        let wanted: Value = serde_json::from_str(&text).map_err(failed)?;
         let there: Option<Value> =
             std::fs::read(&path).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
         if there.as_ref() == Some(&wanted) {
@@ -81,7 +83,7 @@ impl Folder {
             this.clear(&names)?;
         }
         std::fs::create_dir_all(root).map_err(|e| Error::file(root, format!("cannot be made: {e}")))?;
-        write_json(&path, &wanted)?;
+        write_json(&path, settings)?;
         Ok(this)
     }
 
@@ -133,7 +135,6 @@ impl Folder {
         fitted.checkpoint.write(&self.root.join("best.safetensors"))?;
         let html = page::html(&fitted.outcome, &sheet)?;
         write_whole(&self.root.join("report.html"), html.as_bytes())?;
-        debug_assert!(fitted.outcome.row(FITTED).is_some());
         Ok(write_json(&self.root.join("fit.json"), &fitted.outcome)?)
     }
 }

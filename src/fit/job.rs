@@ -8,7 +8,7 @@ use super::outcome::{Elsewhere, FITTED, FULL, Outcome, ROUNDED, Row, TRUNCATED};
 use super::pictures::{Pictures, Times, Wanted};
 use super::prior::Prior;
 use super::samples::{Amount, samples};
-use super::search::{CANDIDATES, Found, Tensors, Tried, search};
+use super::search::{CANDIDATES, Found, SHARES, Tensors, Tried, search};
 use super::shape::Shape;
 use super::transfer::transfer;
 use super::trial;
@@ -23,6 +23,7 @@ use crate::render::compare::Comparison;
 use crate::render::{Sample, Scene};
 use neumip_export::Storage;
 use neumip_export::checkpoint::Checkpoint;
+use serde_json::json;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -70,7 +71,7 @@ pub struct Effort {
 }
 
 impl Default for Effort {
-    /// Half a million samples, four pictures, a learning rate half of the presets'.
+    /// Half a million samples, four pictures of four samples a pixel, a learning rate half of the presets'.
     fn default() -> Self {
         Self {
             unique: 1 << 19,
@@ -78,7 +79,7 @@ impl Default for Effort {
             spp: 16,
             floor: 0.1,
             frames: 4,
-            samples: 0,
+            samples: 4,
             picture_spp: 32,
             training: 0,
             candidates: CANDIDATES,
@@ -162,6 +163,8 @@ impl Job<'_> {
         let demand = demands.into_iter().nth(self.material);
         let demand = demand.ok_or_else(|| Error::config("material", "the scene has none of that number"))?;
         let need = Need::new(&demand, architecture.coarsest())?;
+        // Budgets that nothing holds are refused before anything is measured.
+        self.of(&need, &self.goal)?;
         let pictures = self.pictures(scene, Times::Between, watch)?;
         let of = (self.full.header.material.as_str(), self.full.header.height_range);
         let amount = Amount {
@@ -206,8 +209,12 @@ impl Job<'_> {
     /// # Errors
     /// As [`candidates`].
     pub fn candidates(&self, prepared: &Prepared, goal: &Goal) -> Result<Vec<Candidate>> {
+        self.of(&prepared.need, goal)
+    }
+
+    fn of(&self, need: &Need, goal: &Goal) -> Result<Vec<Candidate>> {
         let model = &self.full.header.architecture.model;
-        candidates(model, &prepared.need, &Prior::new()?, goal, self.effort.candidates)
+        candidates(model, need, &Prior::new()?, goal, self.effort.candidates)
     }
 
     /// Trains a candidate for `presented` samples and compares its pictures.
@@ -292,7 +299,15 @@ impl Job<'_> {
         let bound = self.goal.bound(metric.of(&prepared.full)?);
         let most = bound.unwrap_or(ROUNDING * metric.of(&found.errors)?);
         let trained = self.checkpoint(shape, found.tensors.clone(), need)?;
-        let (fitted, storage) = stored(trained, &prepared.pictures, metric, most)?;
+        let (mut fitted, storage) = stored(trained, &prepared.pictures, metric, most)?;
+        fitted.header.provenance = json!({
+            "fit": {
+                "scene": self.name, "shape": shape.to_string(), "goal": self.goal, "seed": self.effort.seed,
+                "unique_samples": self.effort.unique, "samples": SHARES.map(|share| self.presented(share)),
+            },
+            "full": self.full.header.provenance,
+        });
+        fitted.header.errors = json!({ "pictures": mean(&prepared.pictures, &material(&fitted, storage)?)? });
 
         let architecture = shape.model(&self.full.header.architecture.model, need)?;
         let cut = transfer(self.full, &architecture, need, &prepared.some)?;
@@ -379,6 +394,11 @@ impl Job<'_> {
             });
         }
         Ok(out)
+    }
+
+    /// Samples that are presented in a trial of this share.
+    pub fn presented(&self, share: f64) -> u64 {
+        (self.effort.training as f64 * share) as u64
     }
 
     /// Folder of everything that a fit keeps but its result.

@@ -71,14 +71,12 @@ impl Pictures {
         let count = if scene.frames() == 1 { 1 } else { wanted.frames.max(1) };
         let mut frames = Vec::with_capacity(count);
         for k in 0..count {
-            let mut frame = match (wanted.times, count) {
-                (_, 1) if scene.frames() == 1 => scene.frame(0)?,
+            let frame = match (wanted.times, scene.frames()) {
+                (_, 1) => scene.frame(0)?,
                 (Times::Whole, _) => scene.frame_at(k, count)?,
                 (Times::Between, _) => scene.frame_at(2 * k + 1, 2 * count + 1)?,
             };
-            if wanted.samples > 0 {
-                frame.samples = wanted.samples;
-            }
+            let frame = frame.with_samples(wanted.samples);
             let (width, height) = (frame.camera.width(), frame.camera.height());
             let path = wanted.folder.join(format!("{}-{k:04}.exr", wanted.name));
             let label = Label {

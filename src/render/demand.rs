@@ -71,12 +71,7 @@ impl Scene {
         let (mut asked_of, mut pixels_of) = (vec![0u64; count], vec![0u64; count]);
         let (mut rays, mut pixels) = (0u64, 0u64);
         for index in 0..frames {
-            let mut frame = self.frame_at(index, frames)?;
-            if sample.samples > 0 {
-                frame.share *=
-                    if frame.share < 1.0 { frame.samples as f64 / sample.samples as f64 } else { 1.0 };
-                frame.samples = sample.samples;
-            }
+            let frame = self.frame_at(index, frames)?.with_samples(sample.samples);
             let size = frame.camera.width() * frame.camera.height();
             let batches = self.batches(&frame);
             let batch_count = batches.len();

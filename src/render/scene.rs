@@ -58,6 +58,17 @@ pub struct Frame {
     pub share: f64,
 }
 
+impl Frame {
+    /// The same with so many samples a pixel; 0 leaves them. Where a sample stands for its share of the pixel, that is another.
+    pub fn with_samples(mut self, samples: usize) -> Self {
+        if samples > 0 {
+            self.share = if self.share < 1.0 { 1.0 / samples as f64 } else { 1.0 };
+            self.samples = samples;
+        }
+        self
+    }
+}
+
 impl Scene {
     /// Opens a scene; `path` is its file, by which its errors and relative paths go.
     ///

@@ -95,8 +95,8 @@ pub struct Work {
     /// Pictures over the path: choices are made on so many, and as many others are reported.
     #[arg(long, default_value_t = Effort::default().frames)]
     frames: usize,
-    /// Samples a pixel, in place of the scene's.
-    #[arg(long, default_value_t = 0)]
+    /// Samples a pixel of those pictures; 0 takes the scene's, whose queries are then all held in memory.
+    #[arg(long, default_value_t = Effort::default().samples)]
     samples: usize,
     /// Rays a query of the pictures' truth.
     #[arg(long, default_value_t = Effort::default().picture_spp)]

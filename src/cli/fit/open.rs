@@ -65,8 +65,17 @@ pub fn full(
     let history = std::fs::read(path.join("history.json")).ok();
     let progress: Option<Progress> = history.and_then(|bytes| serde_json::from_slice(&bytes).ok());
     let trained = progress.map(|progress| (progress.samples, progress.seconds));
-    if checkpoint.header.architecture.domain.is_some() {
+    let architecture = &checkpoint.header.architecture;
+    if architecture.domain.is_some() {
         return Err(Error::file(&path, "is fitted to a scene already: fit the full model that it came from"));
+    }
+    if architecture.resolution != data.resolution() {
+        let ([height, width], [rows, columns]) = (architecture.resolution, data.resolution());
+        let problem = format!(
+            "has a tile of {width} x {height} texels, {} has {columns} x {rows}",
+            data.root().display()
+        );
+        return Err(Error::file(&path, problem));
     }
     Ok(Full { checkpoint, config, trained, path })
 }
