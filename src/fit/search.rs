@@ -19,8 +19,8 @@ pub const CANDIDATES: usize = 12;
 pub const SHARES: [f64; 4] = [1.0 / 48.0, 1.0 / 24.0, 1.0 / 12.0, 1.0 / 4.0];
 /// Finals before the search gives up.
 const FINALS: usize = 3;
-/// What is left of an error at the end, by rung, in which it is measured: what the trials of three materials and eight scenes
-/// lost at least from there on.
+/// What is hoped to be left of FLIP at the end, by the rung in which it is measured; of squared errors its square. More cautious than
+/// the medians of the fits of docs/fit/FIT.md (0.72, 0.84, 0.92): who is hoped of in vain costs a final training.
 const HOPE: [f64; 4] = [0.8, 0.9, 0.95, 1.0];
 
 /// Tensors by name.
@@ -179,7 +179,11 @@ fn order(runners: &mut Vec<Runner>, bound: Option<f64>, rung: usize, goal: &Goal
         return;
     }
     let best = runners.remove(0);
-    let hopeful = |runner: &Runner| runner.error * HOPE[rung] <= bound;
+    let hope = match goal.metric() {
+        Metric::Flip => HOPE[rung],
+        Metric::Mse => HOPE[rung] * HOPE[rung],
+    };
+    let hopeful = |runner: &Runner| runner.error * hope <= bound;
     let cost = |runner: &Runner| runner.candidate.cost(goal.prefer);
     runners.sort_by(|a, b| match (hopeful(a), hopeful(b)) {
         (true, true) => cost(a).total_cmp(&cost(b)),

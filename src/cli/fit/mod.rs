@@ -8,11 +8,12 @@ use crate::dataset::Dataset;
 use crate::error::{Error, Result};
 use crate::fit::divide::fit_all;
 use crate::fit::folder::Folder;
-use crate::fit::goal::{Goal, Prefer, Target};
+use crate::fit::goal::{Goal, Metric, Prefer, Target};
 use crate::fit::job::{Effort, Fitted, Job};
 use crate::fit::outcome::{FITTED, Outcome};
 use crate::fit::page;
 use crate::fit::truth::Truth;
+use crate::reference::ReferenceOptions;
 use crate::render::Scene;
 use crate::render::format::DEFAULT_MATERIAL;
 use clap::Args;
@@ -23,6 +24,8 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
+/// No worse than the full model.
+const LIKE_FULL: Target = Target { metric: Metric::Flip, most: None };
 /// Samples a texel that a full model is presented where none is named.
 const PER_TEXEL: u64 = 1200;
 
@@ -67,6 +70,12 @@ pub struct Fit {
     /// where DATA has a name. By default what the data was rendered from, where that is built in.
     #[arg(long)]
     surface: Vec<String>,
+    /// Samples along a side of a built-in surface's field, as the data was generated with.
+    #[arg(long, default_value_t = ReferenceOptions::default().field_side)]
+    field_side: usize,
+    /// Seed of a built-in surface's shape, as the data was generated with.
+    #[arg(long, default_value_t = 0)]
+    material_seed: u64,
     #[command(flatten)]
     work: Work,
     /// Replace a fit of other settings.
@@ -199,7 +208,16 @@ impl Fit {
             let own = subject.folder.root().join("full");
             let path = subject.full.as_deref();
             let full = open::full(path, &subject.data, &own, (training, self.work.seed), console)?;
-            let truth = open::truth(subject.surface.as_deref(), &subject.data, &full, console)?;
+            let made = (self.field_side, self.material_seed);
+            let truth = open::truth(subject.surface.as_deref(), made, &subject.data, &full, console)?;
+            if goal.target.is_some_and(|target| target.most.is_none()) && !truth.is_surface() {
+                let problem = "the full model is the truth here and has no error to be compared with: give a number, as in \
+                               --target flip=0.02";
+                return Err(Error::usage(format!(
+                    "--target {}: {problem}",
+                    goal.target.unwrap_or(LIKE_FULL)
+                )));
+            }
             ready.push(Ready { subject, full, truth, training });
         }
         let models = ready.iter().map(|r| (r.subject.name.clone(), r.full.path.clone())).collect();
@@ -325,9 +343,12 @@ impl Fit {
             let (name, reached) = (metric.name(), metric.of(&row.errors)?);
             let root = ready.subject.folder.root().display();
             let problem = format!(
-                "no model within the budgets reaches {name}={bound:.4}: the nearest has {reached:.4} ({}) and is in {root}; --target \
-                 {name}={reached:.4} would be held, and more --training, --unique or a wider --full may reach further",
-                row.shape
+                "no model within the budgets reaches {name}={}: the nearest has {} ({}) and is in {root}; --target {name}={} would be \
+                 held, and more --training, --unique or a wider --full may reach further",
+                digits(bound),
+                digits(reached),
+                row.shape,
+                digits(1.01 * reached)
             );
             return Err(Error::Diverged(problem));
         }
@@ -360,6 +381,11 @@ fn say(fitted: &Fitted, root: &Path, console: &Console) -> Result<()> {
         "{root}: see report.html; neumip export {root} --out BUNDLE{flag} --check hands it over"
     ));
     Ok(())
+}
+
+/// Three digits of an error, however small.
+fn digits(value: f64) -> String {
+    if value < 1e-3 { format!("{value:.2e}") } else { format!("{value:.4}") }
 }
 
 /// The name of a scene's file, or of a built-in scene.

@@ -137,7 +137,13 @@ pub fn names(file: &SceneFile) -> String {
 ///
 /// # Errors
 /// What opening the surface meets; `Usage` for a surface that the data was not rendered from.
-pub fn truth(surface: Option<&str>, data: &Dataset, full: &Full, console: &Console) -> Result<Truth> {
+pub fn truth(
+    surface: Option<&str>,
+    (field_side, material_seed): (usize, u64),
+    data: &Dataset,
+    full: &Full,
+    console: &Console,
+) -> Result<Truth> {
     let source = &data.manifest().source;
     let name = source.get("name").and_then(|name| name.as_str()).unwrap_or_default();
     let rendered = source.get("kind").and_then(|kind| kind.as_str()) == Some("reference");
@@ -156,6 +162,8 @@ pub fn truth(surface: Option<&str>, data: &Dataset, full: &Full, console: &Conso
     let options = ReferenceOptions {
         resolution: Some([height, width]),
         bounces: source.get("bounces").and_then(|v| v.as_u64()).map_or(1, |bounces| bounces as usize),
+        field_side,
+        material_seed,
         ..ReferenceOptions::default()
     };
     let reference = Reference::open(chosen, &options)?;
@@ -163,8 +171,8 @@ pub fn truth(surface: Option<&str>, data: &Dataset, full: &Full, console: &Conso
     let found = serde_json::to_value(reference.fingerprint()).ok();
     if rendered && known.is_some() && found.as_ref().and_then(|v| v.as_str()) != known.as_deref() {
         let problem = format!(
-            "{} was rendered from another {name}: name its surface with --surface material.json, or take the full model \
-             for the truth with --surface none",
+            "{} was rendered from another {name}: say the --field-side and --material-seed that it was generated with, name its \
+             surface with --surface material.json, or take the full model for the truth with --surface none",
             data.root().display()
         );
         return Err(Error::usage(problem));

@@ -24,6 +24,9 @@ use std::path::PathBuf;
 /// Materials of the table: glossy metal, matte stones, woven fibres.
 const MATERIALS: &str = "metal-rings,rocks,basket-cloth";
 
+/// Side of a material's field, and its seed.
+const MADE: (usize, u64) = (512, 0);
+
 /// Fit materials to two scenes of each kind (far, middle, near, fixed camera) and put what it saves in a table.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  neumip fit-table --out fit-table\n  \
@@ -144,7 +147,7 @@ impl FitTable {
         let full = open::full(None, &data, &own, (scale.presented * texels, self.seed), console)?;
         let models = BTreeMap::from([(DEFAULT_MATERIAL.to_string(), full.path.clone())]);
         let mut opened = open::scene(scene, &models, self.seed)?;
-        let truth = open::truth(None, &data, &full, console)?;
+        let truth = open::truth(None, MADE, &data, &full, console)?;
         let goal = goal(scene, &full)?;
         let name = format!("{material}.{scene}");
         let settings = (env!("CARGO_PKG_VERSION"), data.identity()?, scene, goal, self.seed, scale.fit);
@@ -202,7 +205,8 @@ impl FitTable {
         config.heights = false;
         config.grazing_samples = 0;
         config.seed = self.seed;
-        let surface = Surface { bounces: 1, field_side: 512, material_seed: 0, make_tileable: false };
+        let (field_side, material_seed) = MADE;
+        let surface = Surface { bounces: 1, field_side, material_seed, make_tileable: false };
         let reference = generate::reference(material, &surface, &config)?;
         let existing = if path.exists() { Existing::Resume } else { Existing::Refuse };
         generate::dataset(&reference, &config, &path, existing, console)
