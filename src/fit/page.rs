@@ -44,9 +44,11 @@ pub fn html(outcome: &Outcome, sheet: &[u8]) -> Result<String> {
 pub fn verdict(outcome: &Outcome) -> String {
     let Some([bytes, ns, error]) = outcome.savings() else { return String::new() };
     let metric = outcome.goal.metric().name();
-    let mut text = format!(
-        "{bytes:.1} times fewer bytes, {ns:.2} times fewer ns, {metric} {error:.3} of the full model's"
-    );
+    let mut text = format!("{bytes:.1} times fewer bytes, {ns:.2} times fewer ns");
+    // Where the full model is the truth it has no error.
+    if error.is_finite() {
+        text += &format!(", {metric} {error:.3} of the full model's");
+    }
     if let (Some(bound), Some(row)) = (outcome.bound, outcome.row(FITTED)) {
         let reached = outcome.goal.metric().of(&row.errors).unwrap_or(f64::NAN);
         let held = if outcome.holds { "held" } else { "NOT held" };

@@ -110,7 +110,7 @@ impl Pictures {
                     let queries = &asked.queries[wanted.material];
                     let (rgb, noise) = truth.ask(queries, wanted.spp, seed, first)?;
                     answers[wanted.material] = Answered { rgb, variance: Some(noise) };
-                    shade(&asked, &answers, range, &mut pixels, &mut variance);
+                    asked.shade_all(&answers, &mut pixels[range.clone()], &mut variance[range]);
                     answers[wanted.material] = Answered { rgb: Vec::new(), variance: None };
                 }
                 batches.push((asked, answers));
@@ -155,7 +155,7 @@ impl Pictures {
                 (Some(first), Some(last)) => first.pixels.start..last.pixels.end,
                 _ => continue,
             };
-            shade(asked, &answers, range, &mut pixels, &mut variance);
+            asked.shade_all(&answers, &mut pixels[range.clone()], &mut variance[range]);
         }
         Ok(RgbImage { height: frame.height, width: frame.width, pixels })
     }
@@ -196,22 +196,4 @@ impl Pictures {
 /// Answers whose noise does not count.
 fn quiet(answered: Answered) -> Answered {
     Answered { variance: None, ..answered }
-}
-
-fn shade(
-    asked: &Asked,
-    answers: &Answers,
-    range: std::ops::Range<usize>,
-    pixels: &mut [[f32; 3]],
-    variance: &mut [f32],
-) {
-    let mut rest = (&mut pixels[range.clone()], &mut variance[range]);
-    let mut parts = Vec::with_capacity(asked.parts.len());
-    for (k, part) in asked.parts.iter().enumerate() {
-        let (rgb, after) = rest.0.split_at_mut(part.pixels.len());
-        let (noise, quiet) = rest.1.split_at_mut(part.pixels.len());
-        rest = (after, quiet);
-        parts.push((k, rgb, noise));
-    }
-    parts.into_par_iter().for_each(|(k, rgb, noise)| asked.shade(k, answers, rgb, noise));
 }

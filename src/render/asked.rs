@@ -6,6 +6,7 @@
 
 use crate::error::Result;
 use crate::query::QueryBuffer;
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// A query of a material.
@@ -108,6 +109,19 @@ impl Asked {
     /// True if nothing is asked.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
+    }
+
+    /// Radiance and its variance of the pixels of all parts, which follow each other.
+    pub fn shade_all(&self, answers: &Answers, rgb: &mut [[f32; 3]], variance: &mut [f32]) {
+        let mut rest = (rgb, variance);
+        let mut parts = Vec::with_capacity(self.parts.len());
+        for (k, part) in self.parts.iter().enumerate() {
+            let (rgb, after) = rest.0.split_at_mut(part.pixels.len());
+            let (noise, quiet) = rest.1.split_at_mut(part.pixels.len());
+            rest = (after, quiet);
+            parts.push((k, rgb, noise));
+        }
+        parts.into_par_iter().for_each(|(k, rgb, noise)| self.shade(k, answers, rgb, noise));
     }
 
     /// Radiance and its variance of the pixels of part `k` from the answers to all queries. The variance is that of the

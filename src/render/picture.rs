@@ -116,15 +116,7 @@ impl Scene {
                     sum.get_or_insert_default().join(&count);
                 }
             }
-            let mut rest = (&mut pixels[batch.clone()], &mut variance[batch]);
-            let mut parts = Vec::with_capacity(asked.parts.len());
-            for (k, part) in asked.parts.iter().enumerate() {
-                let (rgb, after) = rest.0.split_at_mut(part.pixels.len());
-                let (noise, quiet) = rest.1.split_at_mut(part.pixels.len());
-                rest = (after, quiet);
-                parts.push((k, rgb, noise));
-            }
-            parts.into_par_iter().for_each(|(k, rgb, noise)| asked.shade(k, &answers, rgb, noise));
+            asked.shade_all(&answers, &mut pixels[batch.clone()], &mut variance[batch]);
             cost.queries += asked.len() as u64;
             cost.rays +=
                 asked.parts.iter().map(|part| part.pixels.len() * frame.samples).sum::<usize>() as u64;
