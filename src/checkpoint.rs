@@ -261,12 +261,21 @@ fn is_ours(name: &str) -> bool {
     [RECORD, BEST, HISTORY, STABILITY].contains(&name) || generation_of(name).is_some() || is_part(name)
 }
 
-/// Reads the checkpoint that a path means: a checkpoint file, or a run's folder.
+/// The checkpoint of a fit's folder, which has no record of a run.
+pub fn of_fit(path: &Path) -> Option<PathBuf> {
+    let best = path.join(BEST);
+    (!path.join(RECORD).exists() && best.is_file()).then_some(best)
+}
+
+/// Reads the checkpoint that a path means: a checkpoint file, or the folder of a run or a fit.
 ///
 /// # Errors
 /// `File` if there is none or it is damaged.
 pub fn load(path: &Path) -> Result<Checkpoint> {
     if path.is_dir() {
+        if let Some(best) = of_fit(path) {
+            return Ok(Checkpoint::read(&best)?);
+        }
         let (folder, _) = RunFolder::open(path)?;
         return Ok(Checkpoint::read(&folder.answering_checkpoint()?)?);
     }

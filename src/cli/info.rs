@@ -1,7 +1,7 @@
 //! `neumip info`.
 
 use super::console::Console;
-use crate::checkpoint::RunFolder;
+use crate::checkpoint::{RunFolder, of_fit};
 use crate::dataset::{Dataset, MANIFEST};
 use crate::error::{Error, Result};
 use clap::Args;
@@ -59,6 +59,13 @@ fn describe(path: &Path) -> Result<Value> {
     if path.join("material.json").is_file() && path.join("golden.json").is_file() {
         let bundle = read_bundle(path)?;
         return Ok(json!({ "kind": "bundle", "material": bundle.sidecar }));
+    }
+    if let Some(best) = of_fit(path) {
+        let fit = std::fs::read(path.join("fit.json")).ok();
+        let figures: Value = fit.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or(Value::Null);
+        return Ok(
+            json!({ "kind": "fit", "figures": figures, "answers": checkpoint(&Checkpoint::read(&best)?) }),
+        );
     }
     Err(Error::file(path, "is no run, dataset or bundle: it has none of run.json, dataset.json, golden.json"))
 }
