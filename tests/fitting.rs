@@ -163,7 +163,7 @@ fn what_cannot_be_fitted_is_said_in_one_line() {
         (
             with("--scene scene.json --out c --target flip=1e-7"),
             1,
-            vec!["flip=1.00e-7", "the nearest has", "--training"],
+            vec!["flip=1.00e-7", "the nearest", "--training"],
         ),
         (with("--scene away.json --out d --target flip=0.5"), 2, vec!["materials.default", "never shows"]),
         (with("--scene named.json --out e --target flip=full"), 2, vec!["named.json", "default", "floor"]),

@@ -241,8 +241,8 @@ impl Job<'_> {
             std::fs::create_dir_all(parent)
                 .map_err(|e| Error::file(parent, format!("cannot be made: {e}")))?;
         }
-        let label = format!("try {}", candidate.shape);
-        let flow = || watch(&label, 0.0);
+        let label = format!("try {} for {presented} samples", candidate.shape);
+        let flow = |done| watch(&label, done);
         let amount = (presented, self.effort.rate);
         let (trained, progress) =
             trial::train(self.config, &architecture, &begun, &prepared.data, &out, amount, &flow)?;

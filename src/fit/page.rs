@@ -135,14 +135,16 @@ fn front(outcome: &Outcome) -> Result<String> {
     let metric = outcome.goal.metric();
     let mut marks: Vec<figures::Mark> = Vec::new();
     for trial in outcome.trials.iter().rev() {
-        if marks.iter().any(|mark| mark.name == trial.shape) {
+        // Names of marks are short.
+        let name = trial.shape.replace(" offset ", "+");
+        if marks.iter().any(|mark| mark.name == name) {
             continue;
         }
         let y = match metric {
             super::goal::Metric::Flip => trial.flip.unwrap_or(f64::NAN),
             super::goal::Metric::Mse => trial.mse,
         };
-        marks.push(figures::Mark { name: trial.shape.clone(), x: trial.ns, y, spread: None });
+        marks.push(figures::Mark { name, x: trial.ns, y, spread: None });
     }
     if let (Some(full), Some(bound)) = (outcome.row(FULL), metric_of(outcome)) {
         marks.push(figures::Mark { name: FULL.into(), x: full.cost.ns_per_query, y: bound, spread: None });

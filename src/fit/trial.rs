@@ -4,7 +4,7 @@ use crate::checkpoint::{self, RunFolder};
 use crate::config::{Budget, Config};
 use crate::dataset::Dataset;
 use crate::error::{Error, Result};
-use crate::trainer::{Progress, Trainer};
+use crate::trainer::{Event, Progress, Trainer};
 use candle_core::Device;
 use neumip_export::Tensor;
 use neumip_export::checkpoint::Checkpoint;
@@ -24,7 +24,7 @@ const BATCH: usize = 2048;
 /// begun there goes on, and one that is finished is read.
 ///
 /// # Errors
-/// What training meets, a divergence included; `Interrupted` if `flow` breaks.
+/// What training meets, a divergence included; `Interrupted` if `flow`, which is told the share that is done, breaks.
 pub fn train(
     full: &Config,
     architecture: &Architecture,
@@ -32,7 +32,7 @@ pub fn train(
     data: &Dataset,
     out: &Path,
     (samples, rate): (u64, f64),
-    flow: &dyn Fn() -> ControlFlow<()>,
+    flow: &dyn Fn(f64) -> ControlFlow<()>,
 ) -> Result<(Checkpoint, Progress)> {
     let mut config = Config { model: architecture.model.clone(), train: full.train.clone() };
     let train = &mut config.train;
@@ -54,7 +54,14 @@ pub fn train(
         },
         _ => Trainer::starting_from(start, config, data, (out, out.exists()), MEMORY, &device)?,
     };
-    trainer.run(&mut |_| flow()).map_err(|error| match error {
+    let mut done = 0.0;
+    let mut listener = |event: &Event| {
+        if let Event::Step { fraction, .. } = event {
+            done = *fraction;
+        }
+        flow(done)
+    };
+    trainer.run(&mut listener).map_err(|error| match error {
         Error::Interrupted(_) => {
             Error::Interrupted("what is finished is kept; the same command goes on".to_string())
         }

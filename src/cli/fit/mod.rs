@@ -341,16 +341,15 @@ impl Fit {
             };
             let metric = outcome.goal.metric();
             let (name, reached) = (metric.name(), metric.of(&row.errors)?);
-            let root = ready.subject.folder.root().display();
             let problem = format!(
-                "no model within the budgets reaches {name}={}: the nearest has {} ({}) and is in {root}; --target {name}={} would be \
-                 held, and more --training, --unique or a wider --full may reach further",
+                "no model within the budgets reaches {name}={}: the nearest, which is kept here, has {} ({}); --target {name}={} would \
+                 be held, and more --training, --unique or a wider --full may reach further",
                 digits(bound),
                 digits(reached),
                 row.shape,
                 digits(1.01 * reached)
             );
-            return Err(Error::Diverged(problem));
+            return Err(Error::file(ready.subject.folder.root(), problem));
         }
         Ok(())
     }
