@@ -116,7 +116,6 @@ const FLOW: [(&str, &[&str]); 34] = [
             "query",
             "random",
             "kernels",
-            "metrics",
             "reference",
             "dataset",
             "engine",

@@ -16,8 +16,7 @@ use super::truth::Truth;
 use crate::config::Config;
 use crate::dataset::{Dataset, SplitName};
 use crate::error::{Error, Result};
-use crate::evaluate::costs_on;
-use crate::metrics::ErrorSum;
+use crate::evaluate::{Apart, apart_table, costs_on};
 use crate::query::{QueryBuffer, Reflectance};
 use crate::render::compare::Comparison;
 use crate::render::{Sample, Scene};
@@ -360,40 +359,24 @@ impl Job<'_> {
     fn elsewhere(&self, fitted: &Checkpoint, storage: Storage) -> Result<Vec<Elsewhere>> {
         let Some(data) = self.data else { return Ok(Vec::new()) };
         let architecture = &fitted.header.architecture;
-        let (full, small) = (material(self.full, Storage::SINGLE)?, material(fitted, storage)?);
-        let mut out = Vec::new();
-        for name in [SplitName::Test, SplitName::Offgrid] {
-            if !data.split_names().contains(&name) {
-                continue;
-            }
-            let split = data.split(name)?;
-            let mut sums: [[ErrorSum; 2]; 2] = Default::default();
-            let mut queries_of = [0u64; 2];
-            for file in 0..split.files() {
-                for block in split.read_file(file)? {
-                    let queries = block.queries(data.resolution());
-                    let target = block.target();
-                    let answers = [full.evaluate(&queries)?.pixels, small.evaluate(&queries)?.pixels];
-                    for k in 0..queries.len() {
-                        let outside = architecture
-                            .outside(queries.u[k], queries.wi[k], queries.wo[k], queries.level[k])
-                            .any();
-                        queries_of[usize::from(outside)] += 1;
-                        for (sums, answer) in sums.iter_mut().zip(&answers) {
-                            sums[usize::from(outside)].add(&answer[k..=k], &target[k..=k]);
-                        }
-                    }
-                }
-            }
-            let errors = sums.map(|sums| sums.map(|sum| sum.errors().mse));
-            out.push(Elsewhere {
-                split: name.as_str().into(),
-                queries: queries_of,
-                full: errors[0],
-                fitted: errors[1],
-            });
-        }
-        Ok(out)
+        let splits: Vec<SplitName> = [SplitName::Test, SplitName::Offgrid]
+            .into_iter()
+            .filter(|name| data.split_names().contains(name))
+            .collect();
+        let apart = |checkpoint: &Checkpoint, storage: Storage| {
+            apart_table(&material(checkpoint, storage)?, architecture, data, &splits)
+        };
+        let mse = |row: &Apart| {
+            [&row.errors_inside, &row.errors_outside].map(|errors| errors.as_ref().map(|errors| errors.mse))
+        };
+        let rows = apart(self.full, Storage::SINGLE)?.into_iter().zip(apart(fitted, storage)?);
+        let both = rows.map(|(full, small)| Elsewhere {
+            queries: [full.count.queries - full.count.outside, full.count.outside],
+            full: mse(&full),
+            fitted: mse(&small),
+            split: full.split,
+        });
+        Ok(both.collect())
     }
 
     /// Samples that are presented in a trial of this share.

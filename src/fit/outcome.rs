@@ -40,10 +40,10 @@ pub struct Elsewhere {
     pub split: String,
     /// Queries inside and outside of the domain.
     pub queries: [u64; 2],
-    /// `mse` of the full model inside and outside.
-    pub full: [f64; 2],
+    /// `mse` of the full model inside and outside, where there are such queries.
+    pub full: [Option<f64>; 2],
     /// `mse` of the fitted model inside and outside.
-    pub fitted: [f64; 2],
+    pub fitted: [Option<f64>; 2],
 }
 
 /// Everything that a report says.

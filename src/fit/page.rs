@@ -173,6 +173,10 @@ fn trials(outcome: &Outcome) -> String {
     each.collect()
 }
 
+fn thousandths(mse: Option<f64>) -> String {
+    mse.map_or("-".into(), |mse| format!("{:.3}", 1e3 * mse))
+}
+
 fn elsewhere(outcome: &Outcome) -> String {
     let each = outcome.elsewhere.iter().flat_map(|split| {
         ["inside", "outside"].into_iter().enumerate().map(|(k, place)| {
@@ -180,8 +184,8 @@ fn elsewhere(outcome: &Outcome) -> String {
                 split.split.clone(),
                 place.into(),
                 split.queries[k].to_string(),
-                format!("{:.3}", 1e3 * split.full[k]),
-                format!("{:.3}", 1e3 * split.fitted[k]),
+                thousandths(split.full[k]),
+                thousandths(split.fitted[k]),
             ])
         })
     });

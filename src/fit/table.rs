@@ -115,7 +115,7 @@ impl Cell {
         let rows = [FULL, ROUNDED, FITTED, TRUNCATED].map(|name| outcome.row(name));
         let [Some(full), Some(rounded), Some(fitted), Some(truncated)] = rows else { return None };
         let need = &outcome.need;
-        let outside = outcome.elsewhere.iter().find(|split| split.split == "offgrid" && split.queries[1] > 0);
+        let outside = outcome.elsewhere.iter().find(|split| split.split == "offgrid");
         Some(Self {
             material: outcome.trained_on.clone(),
             scene: outcome.scene.clone(),
@@ -132,7 +132,7 @@ impl Cell {
             noise: fitted.errors.noise,
             seconds: [outcome.full_training.map_or(0.0, |(_, seconds)| seconds), outcome.search_seconds],
             measuring: outcome.measuring_seconds,
-            outside: outside.map(|split| [split.full[1], split.fitted[1]]),
+            outside: outside.and_then(|split| Some([split.full[1]?, split.fitted[1]?])),
             trials: outcome.trials.clone(),
         })
     }
