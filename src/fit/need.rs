@@ -130,8 +130,7 @@ impl Need {
         if part * part > LARGEST_WINDOW {
             return;
         }
-        for axis in 0..2 {
-            let (first, asked) = runs[axis];
+        for (axis, (first, asked)) in runs.into_iter().enumerate() {
             let length = ((part * texels[axis] as f64).round() as usize).min(texels[axis]);
             let before = length.saturating_sub(asked) / 2;
             self.corner[axis] = (first + texels[axis] - before) % texels[axis] * unit;
