@@ -86,9 +86,9 @@ fn a_fit_is_small_as_good_and_goes_to_other_renderers() {
         "i8" => "--int8",
         _ => "--half",
     };
-    succeed(folder, &format!("export fitted --out bundle {flag} --no-sampler --check"));
-    assert_eq!(read(&folder.join("bundle/material.json"))["domain"]["scene"], "scene");
-    succeed(folder, "render bundle --scene scene.json --out pictures --json pictures.json");
+    succeed(folder, &format!("export fitted --out handed {flag} --no-sampler --check"));
+    assert_eq!(read(&folder.join("handed/material.json"))["domain"]["bounds"]["scene"], "scene");
+    succeed(folder, "render handed --scene scene.json --out pictures --json pictures.json");
     let outside = &read(&folder.join("pictures.json"))["materials"][0]["outside"];
     assert!(outside["queries"].as_u64().unwrap() > 0, "{outside}");
 }
