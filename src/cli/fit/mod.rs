@@ -174,6 +174,7 @@ struct Settings {
     surface: Option<String>,
     goal: Goal,
     total: Option<usize>,
+    made: (usize, u64),
     work: String,
 }
 
@@ -300,6 +301,7 @@ impl Fit {
                 surface: surface.clone(),
                 goal,
                 total: self.total_bytes,
+                made: (self.field_side, self.material_seed),
                 work: format!("{:?}", self.work),
             };
             let root = if several { self.out.join(&name) } else { self.out.clone() };
