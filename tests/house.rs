@@ -124,6 +124,7 @@ const FLOW: [(&str, &[&str]); 34] = [
             "trainer",
             "evaluate",
             "render",
+            "analyze",
             "report",
             "export",
         ],

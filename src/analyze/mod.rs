@@ -26,7 +26,7 @@ pub use direction::{Cone, Directions};
 pub use folder::{free, write};
 pub use histogram::{Histogram, QUANTILES, Quantiles};
 pub use levels::Levels;
-pub use position::{Position, Window};
+pub use position::{Position, Window, arc};
 
 use crate::error::{Error, Result};
 use crate::render::{Demand, Material, Sample, Scene};

@@ -61,7 +61,7 @@ fn place(u: f32, count: usize) -> usize {
 }
 
 /// The start and length of the shortest arc of a circle that holds all that are marked: what the longest gap leaves.
-fn arc(marked: &[bool]) -> [usize; 2] {
+pub fn arc(marked: &[bool]) -> [usize; 2] {
     let (count, mut longest, mut after) = (marked.len(), 0, 0);
     let places: Vec<usize> = (0..count).filter(|k| marked[*k]).collect();
     for (k, place) in places.iter().enumerate() {

@@ -1,5 +1,6 @@
 //! What a material needs to hold for a scene: levels, a window of the tile, directions.
 
+use crate::analyze::arc;
 use crate::error::{Error, Result};
 use crate::query::unit;
 use crate::render::Demand;
@@ -123,34 +124,19 @@ impl Need {
                 let at = (u[1 - axis] * texels[axis] as f32) as usize;
                 asked[at.min(texels[axis] - 1)] = true;
             }
-            span(&asked)
+            arc(&asked)
         });
-        let part = |axis: usize| (runs[axis].1 + 2 * MARGIN).max(LEAST_SIDE) as f64 / texels[axis] as f64;
+        let part = |axis: usize| (runs[axis][1] + 2 * MARGIN).max(LEAST_SIDE) as f64 / texels[axis] as f64;
         let part = part(0).max(part(1));
         if part * part > LARGEST_WINDOW {
             return;
         }
-        for (axis, (first, asked)) in runs.into_iter().enumerate() {
+        for (axis, [first, asked]) in runs.into_iter().enumerate() {
             let length = ((part * texels[axis] as f64).round() as usize).min(texels[axis]);
             let before = length.saturating_sub(asked) / 2;
             self.corner[axis] = (first + texels[axis] - before) % texels[axis] * unit;
             self.size[axis] = length * unit;
         }
-    }
-}
-
-/// The shortest run of a ring, as its first place and length, that holds everything that is asked.
-fn span(asked: &[bool]) -> (usize, usize) {
-    let n = asked.len();
-    let places: Vec<usize> = (0..n).filter(|k| asked[*k]).collect();
-    let gaps = places.iter().enumerate().map(|(i, &here)| {
-        let next = places[(i + 1) % places.len()];
-        // The only place is followed by itself, a ring later.
-        ((next + n - here - 1) % n, next)
-    });
-    match gaps.max_by_key(|(gap, next)| (*gap, std::cmp::Reverse(*next))) {
-        Some((gap, next)) => (next, n - gap),
-        None => (0, 0),
     }
 }
 
